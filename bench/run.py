@@ -41,6 +41,7 @@ CASES = {
     "fit time": ("--people 8", "--people 2 --actions 6 --instance kitting/tiny"),
     "fleet": ("--cells 1/3 --cells 1/5 --instances 20 --runs 200", "--cells 1/3 --instances 2 --runs 10"),
     "foreign": ("counters stacks", "--one domains/kitting/tiny.pddl"),
+    "kernels": ("", "--repeat 1"),
     "live_load": ("--people 50 --seconds 30", "--instance domains/kitting/tiny.pddl --people 2 --seconds 5"),
     "methods": ("kitting/tiny kitting/paper depot/nine-items --repeat 1 --limit 10", "kitting/tiny --repeat 1"),
     "mutants": (

@@ -38,6 +38,7 @@ import math
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,7 @@ from planner.system.limits import processors
 from ..people.decision import Floats
 from ..people.human import Human
 from ..people.misconception import Misconception
+from .assumptions import Assumptions
 from .problem_arrays import read_only
 from .rounding import rounding
 from .truncated_task import never_erring, perceived_of_states
@@ -87,13 +89,10 @@ def breadth_first(known: Table, states: Ints, most: int) -> Ints:
 
 def compliance_bounds(
     known: Table,
-    human: Human | None,
-    betas: Floats,
     states: Ints,
+    betas: Floats,
+    assumed: Assumptions,
     *,
-    gamma: float,
-    c_suggest: float,
-    lapse: float,
     optimal: bool = True,
     deadline: float = math.inf,
     tolerance: float = 0.02,
@@ -106,13 +105,11 @@ def compliance_bounds(
     Parameters
     ----------
     known : Table
-    human : Human or None
-        The person, if their misconceptions are known.
-    betas : float array, shape (B,)
     states : int array, shape (m,)
         States that are swept, in ascending order. All others keep the value of people who never err.
-    gamma, c_suggest, lapse : float
-        As in `AssistPOMDP.of` and `HumanModel`.
+    betas : float array, shape (B,)
+    assumed : Assumptions
+        Of the person.
     optimal : bool
         Whether only optimal actions are suggested, or all.
     deadline : float
@@ -127,6 +124,7 @@ def compliance_bounds(
     ValueError
         The person has misconceptions about actions, not states.
     """
+    human, gamma = assumed.human, assumed.gamma
     if human is not None and not mistaken_about_states(human):
         raise ValueError("expected a person who is mistaken about states, not about actions")
     rows = known.choices(states)
@@ -138,18 +136,20 @@ def compliance_bounds(
     h = known.lookup(every)
     perceived = h if human is None else perceived_of_states(human, known, every, h)
     costs = known.task.action_costs
-    whole = np.array(known.task.costs, dtype=np.float64), known.whole(every)
     start = never_erring(h, costs, gamma)
     order = np.argsort(h[: len(states)], kind="stable")
     order = order[np.isfinite(h[order]) & ~known.is_goal(states)[order]]
-    arrays = [read_only(array) for array in (order, rows.offsets, rows.actions, number, costs, perceived, *whole)]
+    whole = np.array(known.task.costs, dtype=np.float64), known.whole(every)
+    arrays = (order, rows.offsets, rows.actions, number, costs, perceived, *whole)
+    graph = _Graph(*(read_only(array) for array in arrays))
+    rates = _Rates(gamma, assumed.robot.c_suggest, assumed.lapse, optimal)
 
     def one(beta: float) -> Floats:
         value, stamp = start.copy(), np.zeros(len(start), dtype=np.uint16)
         for sweep in range(1, max_sweeps + 1):
             if time.perf_counter() > deadline:
                 break
-            if _sweep(value, stamp, sweep, *arrays, beta, gamma, c_suggest, lapse, optimal) <= tolerance:
+            if _sweep(value, stamp, sweep, graph, beta, rates) <= tolerance:
                 break
         # values only fall, so that rounding is all that the theorem of `policy_iteration` adds
         margin = rounding(int(np.diff(rows.offsets).max(initial=0))) / (1 - gamma) * np.abs(value).max(initial=0.0)
@@ -164,17 +164,40 @@ def mistaken_about_states(human: Human) -> bool:
     return isinstance(human.h, Misconception) and human.h.noise == "state"
 
 
+class _Graph(NamedTuple):
+    """The states that are swept, `order`, and the transitions from them, for compiled code.
+
+    `prices` are the costs of actions, and `perceived` is the cost-to-go that people perceive. `whole` and `h` are the
+    costs of actions and h* as whole numbers, whose sums are exact.
+    """
+
+    order: Ints
+    offsets: Ints
+    actions: NDArray[np.integer]
+    targets: NDArray[np.int32]
+    prices: Floats
+    perceived: Floats
+    whole: Floats
+    h: Floats
+
+
+class _Rates(NamedTuple):
+    """The parameters of `compliance_bounds` that a sweep needs."""
+
+    gamma: float
+    c_suggest: float
+    lapse: float
+    optimal: bool
+
+
 @njit(nogil=True)
-def _sweep(
-    value: Floats, stamp: NDArray[np.uint16], sweep: int, order: Ints, offsets: Ints, actions: NDArray[np.integer],
-    targets: NDArray[np.int32], prices: Floats, perceived: Floats, whole: Floats, h: Floats, beta: float,
-    gamma: float, c_suggest: float, lapse: float, optimal: bool,
-) -> float:  # fmt: skip
+def _sweep(value: Floats, stamp: NDArray[np.uint16], sweep: int, graph: _Graph, beta: float, rates: _Rates) -> float:
     """Lower the values of states once, in place, and return the largest change.
 
     A state is skipped if no successor has changed by more than `slight` since its last backup; its bound remains valid.
-    `whole` and `h` are the costs of actions and h* as whole numbers, whose sums are exact.
     """
+    order, offsets, actions, targets, prices, perceived, whole, h = graph
+    gamma, c_suggest, lapse, optimal = rates
     slight = 1e-3  # cost units; a smaller change causes no backup of predecessors, to save time
     most = 0
     for x in order:

@@ -366,8 +366,7 @@ class _Person:
         most = int(min(SIZES.complying, self.memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
         best_only = assumed.suggestions == "optimal" and self.among is None
         found = compliance_bounds(
-            known, human, assumed.grid.beta, breadth_first(known, region.states, most), gamma=assumed.gamma,
-            c_suggest=assumed.robot.c_suggest, lapse=assumed.lapse, optimal=best_only,
+            known, breadth_first(known, region.states, most), assumed.grid.beta, assumed, optimal=best_only,
             deadline=until if until == math.inf else until - (1 - share) * left,
         )  # fmt: skip
         return found.at(region.states)

@@ -13,6 +13,7 @@ from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel
 from assist.people.ranges import Population
 from assist.person import AssistPOMDP, qmdp
+from assist.person.assumptions import Assumptions
 from assist.person.compliance_relaxation import breadth_first, compliance_bounds
 from assist.person.robots import OfRobots
 from assist.person.truncated_task import never_erring
@@ -37,9 +38,11 @@ def solved(task: str, human: Human | None, grid: Grid, eta: float, most: int, **
     known = {"eta": eta, "lapse": LAPSE}
     model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
     suggestions = "optimal" if options.get("optimal", True) else "all"
-    pomdp = AssistPOMDP.of(model, grid=grid, gamma=GAMMA, robot=OfRobots(c_suggest=C_SUGGEST), suggestions=suggestions)
+    robot = OfRobots(c_suggest=C_SUGGEST)
+    pomdp = AssistPOMDP.of(model, grid=grid, gamma=GAMMA, robot=robot, suggestions=suggestions)
     states = breadth_first(table, np.array([table.initial]), most)
-    found = compliance_bounds(table, human, grid.beta, states, gamma=GAMMA, c_suggest=C_SUGGEST, lapse=LAPSE, **options)
+    assumed = Assumptions(human=human, gamma=GAMMA, robot=robot, lapse=LAPSE)
+    found = compliance_bounds(table, states, grid.beta, assumed, **options)
     np.testing.assert_array_equal(found.at(states[::-1]), found.value[::-1])
     nobody_errs = never_erring(choices.h[states], table.task.costs, GAMMA)[:, None]
     return qmdp(pomdp).value_mdp[states], found.value, nobody_errs
