@@ -285,6 +285,19 @@ class Hidden(Seen):
             ]
             self.update_by(rows, words, [InOneStep(self.sight.evidence(model.choices, one)) for one in seen], model)
 
+    def update(self, rows: Ints, acts: Acts, model: PersonModel) -> None:
+        """Update the beliefs by actions that were seen, as in `Beliefs`, also where the state before was uncertain."""
+        uncertain = np.array([k in self.joints for k in rows.tolist()], dtype=bool)
+        if not uncertain.any():
+            super().update(rows, acts, model)
+            return
+        super().update(rows[~uncertain], acts.of(np.flatnonzero(~uncertain)), model)
+        at, actions = np.flatnonzero(uncertain), model.choices.actions
+        x, robot, slot = acts.x[at], acts.robot[at], acts.slot[at]
+        words = np.take_along_axis(said_in(model.pomdp, x), robot[:, None], axis=1)[:, 0]
+        seen = [Reported(Evidence.of(model.choices, {action: 1.0})) for action in actions[x, slot].tolist()]
+        self.update_by(rows[at], words, seen, model)
+
     def update_by(self, rows: Ints, said: Ints, evidence: Sequence[Glimpse], model: PersonModel) -> None:
         """Update the beliefs in some people of one model by what was seen of their actions.
 

@@ -17,9 +17,11 @@ from assist.people import Grid, HumanModel, ImpossibleObservationError
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.person import AssistPOMDP, JointBelief, ObservationModel, Setting, qmdp
+from assist.person.beliefs import Hidden, PersonModel, Seen
 from assist.person.evidence import Evidence
 from assist.person.joint_belief import expected_answers, said_in
 from assist.person.lazy_policy import LazyPolicy
+from assist.person.problem_arrays import Acts
 from assist.simulation import Episodes, Pool, simulate
 from assist.team.state import worth_of_actions
 
@@ -231,3 +233,26 @@ def test_the_command_simulates_errors_of_observation() -> None:
         "observation.miss"
         in invoke("simulate", "kitting/tiny", "--humans", "1", "--set", "observation.miss=1.5").stderr
     )
+
+
+def test_an_action_that_is_seen_updates_a_belief_over_states_too() -> None:
+    """Of two people one is in a known state, and the other one in either of two: what both do is seen as it is."""
+    pomdp = PROBLEMS[False]
+    policy, c = qmdp(pomdp), pomdp.model.choices
+    first = c.initial
+    slots = np.flatnonzero(c.applicable[first])[:2]
+    second = int(c.targets[first, slots[0]])
+    joint = JointBelief(np.array([first, second]), np.stack([0.6 * pomdp.prior, 0.4 * pomdp.prior]))
+    belief = np.repeat(pomdp.prior[None], 2, axis=0)
+    known = Hidden(np.array([first, first]), belief.copy(), np.zeros(2, dtype=bool), joints={1: joint})
+    acts = Acts(np.full(2, first), np.array([1, 1]), np.full(2, slots[1]), np.zeros(2, dtype=bool))
+    known.update(np.arange(2), acts, PersonModel.of(policy))
+    alone = Seen(np.array([first, first]), belief.copy(), np.zeros(2, dtype=bool))
+    alone.update(np.arange(2), acts, PersonModel.of(policy))
+    np.testing.assert_array_equal(known.belief[0], alone.belief[0])
+    said, done = int(said_in(pomdp, np.array([first]))[0, 1]), int(c.actions[first, slots[1]])
+    expected = joint.after(Evidence.of(c, {done: 1.0}), said, policy)
+    assert known.joints.keys() == {1}
+    np.testing.assert_array_equal(known.joints[1].places, expected.places)
+    np.testing.assert_allclose(known.belief[1], expected.belief, rtol=1e-12)
+    assert policy.places(known.x[1:]) == expected.likeliest
