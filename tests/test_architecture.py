@@ -36,13 +36,14 @@ ROOMS = {
     "assist.people": """arguments state_keys hidden_type choices misconception decision user_code goals terms memory
         choice_model weighted_choice human ranges real_people spread belief influence_kernels type_kernels trust_rules
         neighbours neighbourhood perceived_suggestions action_names signals""",
-    "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings pomdp
-        assumptions visiting_robot problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics
-        joint_belief beliefs rounding action_values krylov sparse_iteration policy_iteration qmdp
-        solution_cache alpha_vectors upper_hull
-        convex_bound hsvi search memory_needed further_beliefs solver time_expansion subproblem_frontier
-        attention_subproblem truncated_task state_cache closed_problem growing_problem leaf_estimates backups
-        compliance_relaxation truncated_bound truncated_policy person_problem""",
+    "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings pomdp assumptions
+        visiting_robot problem_arrays people_arrays rows policy lazy_policy archive belief_filter
+        belief_update dynamics_kernel dynamics joint_belief beliefs hidden_beliefs rounding
+        action_values krylov sparse_iteration policy_iteration qmdp solution_cache alpha_vectors
+        upper_hull convex_bound hsvi search memory_needed further_beliefs solver time_expansion
+        subproblem_frontier attention_subproblem truncated_task state_cache closed_problem
+        growing_problem leaf_estimates backups compliance_relaxation truncated_bound truncated_policy
+        person_problem""",
     "assist.learning": """method statistics log_steps log_json log_files log comparison intervals advice_log
         advice_rules advice_model advice_fit replay observations joint_states evidence neighbours likelihood
         choosing likelihood_table likelihood_arrays first_estimates person_estimate profiles maximum_likelihood

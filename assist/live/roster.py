@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
-from ..person.beliefs import Ask, Hidden
+from ..person.beliefs import Ask
+from ..person.hidden_beliefs import Hidden
 from ..person.joint_belief import JointBelief, is_certain
 from ..team.state import by_model
 from ..texts.refusals import AbsentError

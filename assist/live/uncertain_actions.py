@@ -12,8 +12,9 @@ from ..people.arguments import number
 from ..people.belief import ImpossibleObservationError
 from ..people.choices import Choices
 from ..people.decision import NOTHING
-from ..person.beliefs import Glimpse, PerhapsMissed, PersonModel, Reported
+from ..person.beliefs import PersonModel
 from ..person.evidence import Evidence
+from ..person.hidden_beliefs import Glimpse, PerhapsMissed, Reported
 from ..person.joint_belief import JointBelief
 from ..person.observation_model import ObservationModel
 from ..person.settings import Setting

@@ -18,7 +18,8 @@ from ..people.decision import Floats, perceived_cost
 from ..people.human import Human
 from ..people.trust_rules import TrustRule
 from ..person.beliefs import PersonModel
-from ..person.dynamics import Minds, PeopleArrays, act
+from ..person.dynamics import act
+from ..person.people_arrays import Minds, PeopleArrays
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only

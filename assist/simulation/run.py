@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
 from ..people.user_code import UserCodeError
-from ..person.beliefs import Beliefs, Hidden, Seen
+from ..person.beliefs import Beliefs, Seen
+from ..person.hidden_beliefs import Hidden
 from ..person.travel import Travel
 from ..team.action_check import check
 from ..team.engine import Engine, PeopleAtWork, StepTaken

@@ -181,9 +181,9 @@ def simulate(
                     trace.extend(own)  # type: ignore[union-attr]  # there are none without it
             ended = min(count, done + threads * each)
             advance(ended - done)
-            # Small chunks first, to show soon how far the work is. If their sizes depended on the clock, so would what
-            # a user's policy draws from a generator of its own.
-            done, size = ended, size if explained else 2 * size
+            # Small chunks first, to show soon how far the work is, and to end in time. If their sizes depended on the
+            # clock, so would what a user's policy draws from a generator of its own.
+            done, size = ended, size if explained else (4 if time_limit is None else 2) * size
     return _with_cost(Episodes.joined(found), pool, policy)
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ..people.decision import Floats
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.trust_rules import TrustRule
-from ..person.dynamics import Minds, PeopleArrays, act
+from ..person.dynamics import act
+from ..person.people_arrays import Minds, PeopleArrays
 from ..person.problem_arrays import ProblemArrays
 
 

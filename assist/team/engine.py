@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ..people.decision import NOTHING, Floats
 from ..people.neighbourhood import Neighbourhood
 from ..person.beliefs import Beliefs, PersonModel
-from ..person.dynamics import PeopleArrays
+from ..person.people_arrays import PeopleArrays
 from ..person.policy import Policy
 from ..person.problem_arrays import Acts, ProblemArrays
 from ..person.robots import NOTHING_DONE

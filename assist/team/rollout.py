@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from ..people.arguments import number, whole
 from ..people.decision import NOTHING, Floats
 from ..person.beliefs import PersonModel, Seen
-from ..person.dynamics import Minds, PeopleArrays, act
+from ..person.dynamics import act
+from ..person.people_arrays import Minds, PeopleArrays
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..person.robots import NOTHING_DONE

@@ -12,7 +12,9 @@ from assist.people.type_kernels import exclude_reached, is_mistake
 from assist.person.belief_filter import update, update_seen
 from assist.person.belief_update import mistaken, updated, without_reached
 from assist.person.beliefs import update_readable
-from assist.person.dynamics import Minds, PeopleArrays, act_compiled, act_readable
+from assist.person.dynamics import act_readable
+from assist.person.dynamics_kernel import act_compiled
+from assist.person.people_arrays import Minds, PeopleArrays
 from assist.person.problem_arrays import Acts, ProblemArrays, read_only
 from planner.system.compiling import ReadableFirst
 

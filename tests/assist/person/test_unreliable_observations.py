@@ -17,8 +17,9 @@ from assist.people import Grid, HumanModel, ImpossibleObservationError
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.person import AssistPOMDP, JointBelief, ObservationModel, Setting, qmdp
-from assist.person.beliefs import Hidden, PersonModel, Seen
+from assist.person.beliefs import PersonModel, Seen
 from assist.person.evidence import Evidence
+from assist.person.hidden_beliefs import Hidden
 from assist.person.joint_belief import expected_answers, said_in
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.problem_arrays import Acts

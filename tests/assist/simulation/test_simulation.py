@@ -19,8 +19,9 @@ from assist.people.decision import choice, influence, lapse, perceived_value, tr
 from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.person.beliefs import PersonModel, Seen
-from assist.person.dynamics import Minds, PeopleArrays, act
+from assist.person.dynamics import act
 from assist.person.lazy_policy import LazyPolicy
+from assist.person.people_arrays import Minds, PeopleArrays
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import Acts
 from assist.person.qmdp import qmdp
