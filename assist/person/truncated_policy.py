@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -32,6 +33,7 @@ from ..people.goals import Goals, each_of, first_of
 from ..people.hidden_type import HiddenType, OfGoals
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
+from .closed_problem import closed_problem
 from .growing_problem import GrowingProblem
 from .leaf_estimates import LeafEstimates
 from .policy import OfRows, Policy
@@ -89,6 +91,36 @@ class SharedTask:
 
 
 @dataclass(frozen=True, eq=False)
+class SolvedRegion:
+    """A policy in the states of a truncated task.
+
+    Attributes
+    ----------
+    states : int array, shape (m,)
+        These states in ascending order, without the frontier.
+    row : int array, shape (m,)
+        The row of each in the problem of the policy.
+    policy : Policy
+    """
+
+    states: Ints
+    row: Ints
+    policy: Policy
+
+    @classmethod
+    def of(cls, region: TruncatedTask, policy: Policy) -> SolvedRegion:
+        """Return the states of a truncated task with the policy for its problem."""
+        inside = np.setdiff1d(np.arange(len(region.states)), region.frontier)
+        row = inside[np.argsort(region.states[inside])]
+        return cls(region.states[row], row, policy)
+
+    def find(self, states: Ints) -> Ints:
+        """Return the row of each state, shape (N,); -1 for others."""
+        at = np.minimum(np.searchsorted(self.states, states), len(self.states) - 1)
+        return np.where(self.states[at] == states, self.row[at], -1)
+
+
+@dataclass(frozen=True, eq=False)
 class TruncatedPolicy(Policy):
     """One person's policy on a task of any size; states have the numbers of the task's cost-to-go.
 
@@ -99,6 +131,8 @@ class TruncatedPolicy(Policy):
         What the robot assumes of the person.
     like : TruncatedPolicy or None
         Policy of another person, whose values are the start of value iteration; this saves time for many people.
+    solver : callable or None
+        Solves the problem on the truncated task, if not by QMDP; its policy acts there. For one goal.
     solved : dict
         Cached estimates for each goal, by the parameters of the subproblem with a price of attention. The key is () for
         a robot that is always present, and `NEVER` for one that does not help.
@@ -109,6 +143,7 @@ class TruncatedPolicy(Policy):
     ground: SharedTask
     assumed: Assumptions
     like: TruncatedPolicy | None = None
+    solver: Callable[[AssistPOMDP], Policy] | None = None
     solved: dict[tuple[float, ...], tuple[LeafEstimates, ...]] = field(default_factory=dict, repr=False)
     bounds: dict[tuple[float, bool], list[tuple[float, TruncatedProblem]]] = field(default_factory=dict, repr=False)
 
@@ -247,6 +282,8 @@ class TruncatedPolicy(Policy):
 
     def prepare(self) -> tuple[LeafEstimates, ...]:
         """Return each goal's value estimates for a robot that is always present, computed by the first call."""
+        if self.solver is not None:
+            self._own  # noqa: B018  # solved now
         if () not in self.solved:
             with reporting(None) as tell:
                 tell(SOLVING, 0, None)
@@ -296,7 +333,24 @@ class TruncatedPolicy(Policy):
 
     def q_values(self, x: Ints, belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
-        return self.growing.q_values("", self._backup, 0, x, belief)
+        if self.solver is None:
+            return self.growing.q_values("", self._backup, 0, x, belief)
+        at, q = self._own.find(self.places(x)), np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
+        inside, outside = np.flatnonzero(at >= 0), np.flatnonzero(at < 0)
+        if len(inside):
+            found = self._own.policy.q_values(at[inside], belief[inside])
+            q[inside, : found.shape[1]] = found[:, : q.shape[1]]
+        if len(outside):
+            found = self.growing.q_values("", self._backup, 0, x[outside], belief[outside])
+            q[outside, : found.shape[1]] = found
+        return q
+
+    @cached_property
+    def _own(self) -> SolvedRegion:
+        """The policy of the solver on the truncated task of the only goal."""
+        assert self.solver is not None
+        (region,) = self.regions
+        return SolvedRegion.of(region, self.solver(closed_problem(region, self.assumed)))
 
     def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
         """Return Q-values in the first rows of a problem of one step, and their numbers, as `Backup` does."""

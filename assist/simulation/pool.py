@@ -226,12 +226,13 @@ class Pool(Result):
             The robot's prior; by default `population`. A robot whose prior has no weights assumes that people choose by
             cost-to-go alone.
         solver : callable
-            Returns the policy for one person's problem.
+            Returns the policy for one person's problem. On a truncated task, that problem has proven bounds at its
+            frontier (`LeafBounds`). The policy acts in its states; elsewhere the robot looks one step ahead.
         memory_limit_mb : float
             Memory of all QMDP policies in MB; it is estimated before anything is allocated.
         states : int
             Largest number of states of a table that is enumerated. It is `MAX_ENUMERATED` if people have a memory, if
-            actions are executed, if a solver is given, or if people are asked about their goals. Tables of several
+            actions are executed, if another solver is given, or if people are asked for their goals. Tables of several
             goals are enumerated if their policies do not exceed the memory limit.
         region : int, optional
             Number of states of a policy's truncated task, for each goal; by default
@@ -329,15 +330,13 @@ class Pool(Result):
         states, region = whole("states", how["states"]), None if region is None else whole("region", region, 1)
         if isinstance(table, Goals) and terms:
             raise ValueError("people with weights of terms: expected one goal")
-        needed = {
-            "weights": terms,
-            "execute": setting.fleet.executes,
-            "solver": solver != qmdp,
-        }
+        own = solver if solver != qmdp else None
+        needed = {"weights": terms, "execute": setting.fleet.executes, "solver": own and isinstance(table, Goals)}
         people: Sequence[Human]
         choices: Choices | None = None
         asks = isinstance(table, Goals) and setting.c_ask is not None  # worth of answers: exact where it is affordable
-        if isinstance(table, Choices) or is_whole(table, MAX_ENUMERATED if asks or any(needed.values()) else states):
+        most = MAX_ENUMERATED if asks or own or any(needed.values()) else states
+        if isinstance(table, Choices) or is_whole(table, most):
             choices = affordable_choices(table, setting, terms, size, limit, required=any(needed.values()))
         if choices is not None:
             people = drawn(choices)
@@ -353,9 +352,11 @@ class Pool(Result):
             models = size if setting.knowledge == "own" else 1
             room = states_within(limit, len(each_of(table)), models)
             ground = SharedTask(table, region or min(default_size(table), room), models)
-            policies = [of_task := TruncatedPolicy(ground, Assumptions.of(setting, None, prior))]
+            policies = [of_task := TruncatedPolicy(ground, Assumptions.of(setting, None, prior), solver=own)]
             if setting.knowledge == "own":
-                policies = [TruncatedPolicy(ground, Assumptions.of(setting, one, prior), of_task) for one in people]
+                policies = [
+                    TruncatedPolicy(ground, Assumptions.of(setting, one, prior), of_task, own) for one in people
+                ]
         number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number, again, table)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from random import Random
 from threading import Thread
 from typing import Any
@@ -21,6 +22,8 @@ from assist.live import Assistant, live_task
 from assist.people.ranges import Population
 from assist.person import truncated_bound, truncated_policy
 from assist.person.observation_model import ObservationModel
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import QMDP, qmdp
 from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.person.truncated_task import never_erring
@@ -349,3 +352,27 @@ def test_what_is_around_takes_memory_and_is_kept_if_wanted(tiny: Table, monkeypa
     assert all(kind.outer is None for kind in kinds_of(pool, (0, 1), travel, 0))
     kinds = kinds_of(pool, (0, 1), travel, 0, with_outer=True)
     assert all(kind.outer is not None and kind.outer.nbytes > 10_000 for kind in kinds)
+
+
+def silent(pomdp: AssistPOMDP) -> QMDP:
+    """A robot for which every suggestion is dearer than anything."""
+    costs = pomdp.robot_costs.copy()
+    costs[:, 1:] = 1e6
+    return qmdp(replace(pomdp, robot_costs=costs))
+
+
+@pytest.mark.parametrize("knowledge", ["exact", "own"])
+def test_a_solver_of_ones_own_acts_in_the_states_of_a_truncated_task(tiny: Table, knowledge: Any) -> None:
+    """With all states its policy is that on the whole task; with few, suggestions are made beyond its states only."""
+    setting = Setting(c_suggest=0.05, c_move=0.05, gamma=0.9, knowledge=knowledge)
+    own: dict[str, Any] = {"seed": 1, "setting": setting, "solver": partial(solve, gap=1e-4)}
+    whole, cut = Pool.sample(tiny, 3, **own), Pool.sample(OnDemand(tiny.task), 3, region=100, **own)
+    runs = [simulate(pool, "attention", humans=2, episodes=40, seed=3) for pool in (whole, cut)]
+    np.testing.assert_array_equal(runs[0].actions, runs[1].actions)
+    np.testing.assert_allclose(runs[0].discounted_return, runs[1].discounted_return, rtol=1e-9)
+    assert runs[0].interventions.sum() > 20
+    said = []
+    for region in (1, 8, 100):
+        pool = Pool.sample(OnDemand(tiny.task), 3, seed=1, setting=setting, solver=silent, region=region)
+        said.append(int(simulate(pool, "attention", humans=2, episodes=40, seed=3).interventions.sum()))
+    assert said[0] > said[1] > said[2] == 0
