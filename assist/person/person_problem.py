@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, TypeGuard, overload
@@ -65,6 +65,24 @@ def is_whole(known: CostToGo | Goals, states: int | None = None) -> TypeGuard[Ta
     """
     first, most = first_of(known), WHOLE if states is None else states
     return isinstance(first, Table) and len(first) <= most and len(known) <= rows_within(most)
+
+
+def require_whole(needed: Mapping[str, object], states: int) -> None:
+    """Raise a `ValueError` if something is asked for that a truncated task does not have.
+
+    A robot that executes actions, and people who remember what they did, may come to any state, or to any memory: what
+    is likely is not known beforehand.
+
+    Parameters
+    ----------
+    needed : mapping of str to object
+        What is true, or not empty, is asked for.
+    states : int
+        The largest number of states of a task that is not truncated.
+    """
+    for name, given in needed.items():
+        if given:
+            raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")
 
 
 @dataclass(frozen=True)
@@ -149,9 +167,7 @@ class PersonProblem:
             return cls(known, assumed.problem(choices), choices.of_task(np.arange(choices.task_states)))
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
-        for name, given in (("execute", setting.fleet.executes), ("people who remember what they did", people.weights)):
-            if given:
-                raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")
+        require_whole({"execute": setting.fleet.executes, "people who remember what they did": people.weights}, states)
         of = partial(TruncatedTask.of, known, start=start, population=people, human=human, time_limit=time_limit)
         problem = closed_problem(region := of(states=states, progress=progress), assumed)
         while (states := states // 2) >= 20:

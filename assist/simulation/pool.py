@@ -27,7 +27,7 @@ from ..people.ranges import Population
 from ..person.assumptions import Assumptions
 from ..person.lazy_policy import LazyPolicy
 from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
-from ..person.person_problem import WHOLE, is_whole
+from ..person.person_problem import WHOLE, is_whole, require_whole
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
@@ -343,9 +343,7 @@ class Pool(Result):
             policies = _enumerated(choices, people, setting, prior, solver, ends, progress)
         else:
             assert not isinstance(table, Choices)
-            for name, given in needed.items():
-                if given:
-                    raise ValueError(f"{name}: expected an enumerated task, of at most {MAX_ENUMERATED:,} states")
+            require_whole(needed, MAX_ENUMERATED)
             require_goal(float(costs_to_go(table, np.array([first_of(table).initial])).min()))
             require_room_for_people(size, 0, limit)
             people = drawn(None)

@@ -37,7 +37,7 @@ def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
         ("execute", {"setting": Setting(execute=True)}),
         ("weights", {"population": Population(weights={"goals": (0.0, 1.0)})}),
     ):
-        with pytest.raises(ValueError, match=f"{name}: expected an enumerated task, of at most 200,000"):
+        with pytest.raises(ValueError, match=f"{name}: expected a task of at most 200,000 states"):
             Pool.sample(OnDemand(tiny.task), 2, seed=0, **options)  # type: ignore[arg-type]
 
 
