@@ -50,6 +50,15 @@ class IntervalEstimate:
         """Return the fields as plain data, with None for NaN."""
         return {"mean": finite(self.value), "low": finite(self.low), "high": finite(self.high)}
 
+    def within(self, least: float, most: float) -> IntervalEstimate:
+        """Return the estimate with its interval cut at the range of what is estimated.
+
+        Without variance there is no interval: that all values seen are equal does not show that the next one is.
+        """
+        if math.isclose(self.low, self.high, rel_tol=1e-9, abs_tol=1e-12):
+            return IntervalEstimate(self.value)
+        return IntervalEstimate(self.value, *(min(max(end, least), most) for end in (self.low, self.high)))
+
     @classmethod
     def of(cls, value: float, error: float, freedom: float, level: float) -> IntervalEstimate:
         """Return Student's interval for a standard error."""
@@ -57,6 +66,10 @@ class IntervalEstimate:
             return cls(value)
         half = float(scipy.special.stdtrit(freedom, (1 + level) / 2)) * error
         return cls(value, value - half, value + half)
+
+
+NONE = IntervalEstimate(math.nan)
+"""An estimate that the data do not determine."""
 
 
 @dataclass(frozen=True)
@@ -68,21 +81,28 @@ class Comparison:
     difference : IntervalEstimate
     p : float
         Two-sided p-value of Student's t-test of the same difference.
-    hedges_g : float
+    hedges_g : IntervalEstimate
         The difference in standard deviations (Cohen's d) with Hedges' small-sample correction (1981).
+    t, freedom : float
+        The test's statistic, and its degrees of freedom.
     """
 
     difference: IntervalEstimate
     p: float = math.nan
-    hedges_g: float = math.nan
+    hedges_g: IntervalEstimate = NONE
+    t: float = math.nan
+    freedom: float = math.nan
 
     @classmethod
-    def of(cls, value: float, error: float, freedom: float, level: float, hedges_g: float = math.nan) -> Comparison:
+    def of(
+        cls, value: float, error: float, freedom: float, level: float, hedges_g: IntervalEstimate = NONE
+    ) -> Comparison:
         """Return the comparison with this standard error, whose distribution is Student's t."""
         if not (error > 0 and freedom > 0):
             return cls(IntervalEstimate(value))
-        p = float(2 * scipy.special.stdtr(freedom, -abs(value) / error))
-        return cls(IntervalEstimate.of(value, error, freedom, level), p, hedges_g)
+        t = value / error
+        p = float(2 * scipy.special.stdtr(freedom, -abs(t)))
+        return cls(IntervalEstimate.of(value, error, freedom, level), p, hedges_g, t, freedom)
 
 
 # Means and their ratios.
@@ -182,12 +202,40 @@ def between_groups(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Compariso
     together = len(x) + len(y) - 2
     pooled = math.sqrt(((len(x) - 1) * x.var(ddof=1) + (len(y) - 1) * y.var(ddof=1)) / together)
     between = IntervalEstimate(value, float(ends.low), float(ends.high))
-    return Comparison(between, float(found.pvalue), value / pooled * small(together))
+    effect = standardised(value / pooled, together, math.sqrt(len(x) * len(y) / (len(x) + len(y))), level)
+    return Comparison(between, float(found.pvalue), effect, float(found.statistic), float(found.df))
 
 
-def small(freedom: int) -> float:
+def standardised(d: float, freedom: float, scale: float, level: float = 0.95) -> IntervalEstimate:
+    """Return Hedges' g of a standardised difference, with the interval by the noncentral t distribution.
+
+    Parameters
+    ----------
+    d : float
+        The difference in standard deviations (Cohen's d).
+    freedom : float
+        Degrees of freedom of the standard deviation; without two, the result is NaN.
+    scale : float
+        As in `detectable`: the test's statistic for a standardised difference of 1.
+    level : float
+    """
+    if freedom <= 1 or not math.isfinite(d):
+        return NONE
+    ends = (scipy.special.nctdtrinc(freedom, p, d * scale) / scale for p in ((1 + level) / 2, (1 - level) / 2))
+    return IntervalEstimate(*(float(one) * small(freedom) for one in (d, *ends)))
+
+
+def small(freedom: float) -> float:
     """Return Hedges' factor for small samples."""
     return 1 - 3 / (4 * freedom - 1)
+
+
+def wilson(successes: int, n: int, level: float = 0.95) -> IntervalEstimate:
+    """Return the share of successes with the interval of Wilson (1927); NaN without any members."""
+    if not n:
+        return NONE
+    ends = scipy.stats.binomtest(successes, n).proportion_ci(level, method="wilson")
+    return IntervalEstimate(successes / n, float(ends.low), float(ends.high))
 
 
 def newcombe(successes: int, n: int, other: int, m: int, level: float = 0.95) -> IntervalEstimate:
@@ -203,12 +251,13 @@ def newcombe(successes: int, n: int, other: int, m: int, level: float = 0.95) ->
     """
     if not n or not m:
         return IntervalEstimate(math.nan)
-    (low, high), (under, over) = (
-        scipy.stats.binomtest(own, size).proportion_ci(level, method="wilson")
-        for own, size in ((successes, n), (other, m))
+    a, b = wilson(successes, n, level), wilson(other, m, level)
+    apart = a.value - b.value
+    return IntervalEstimate(
+        apart,
+        apart - math.hypot(a.value - a.low, b.high - b.value),
+        apart + math.hypot(a.high - a.value, b.value - b.low),
     )
-    p, q = successes / n, other / m
-    return IntervalEstimate(p - q, p - q - math.hypot(p - low, over - q), p - q + math.hypot(high - p, q - under))
 
 
 def fisher_p(successes: int, n: int, other: int, m: int) -> float:

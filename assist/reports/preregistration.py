@@ -22,7 +22,8 @@ from ..userstudy.session import JOURNAL
 from ..userstudy.tables import Tables
 
 ANALYSIS = (
-    "userstudy/questionnaires.py", "userstudy/outcomes.py", "userstudy/tables.py", "learning/statistics.py",
+    "userstudy/plan.py", "userstudy/questionnaires.py", "userstudy/outcomes.py", "userstudy/tables.py",
+    "learning/statistics.py",
     "reports/repeated_measures.py", "reports/userstudy_summary.py",
 )  # fmt: skip
 """Files of the package on which the numbers of a report depend."""

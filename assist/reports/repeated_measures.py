@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, stats
 
-from ..learning.statistics import Comparison, IntervalEstimate, detectable, small
+from ..learning.statistics import Comparison, IntervalEstimate, detectable, standardised
 
 Floats = NDArray[np.floating[Any]]
 Values = Mapping[str, Mapping[str, float]]
@@ -42,8 +42,9 @@ def within_participants(differences: ArrayLike, periods: ArrayLike, level: float
     if not determined or freedom < 1 or left <= 1e-20 * float((y**2).sum()):
         return Comparison(IntervalEstimate(float(found[0] if determined else y.mean())))
     deviation = math.sqrt(left / freedom)
-    effect = float(found[0]) / deviation * small(freedom) if freedom > 1 else math.nan
-    return Comparison.of(float(found[0]), deviation * math.sqrt(inverse[0, 0]), freedom, level, effect)
+    error = math.sqrt(inverse[0, 0])
+    effect = standardised(float(found[0]) / deviation, freedom, 1 / error, level)
+    return Comparison.of(float(found[0]), deviation * error, freedom, level, effect)
 
 
 def _of_periods(periods: ArrayLike) -> tuple[Floats, Floats, bool]:

@@ -177,6 +177,7 @@ def report_text(study: UserStudy, summary: dict[str, Any], pictures: dict[str, s
         head=[texts.phrase("report.conditions.measure"), *head[1:]], rows=rows,
         number=partial(number, texts=texts), value=partial(value, texts=texts), where=partial(_where, texts=texts),
         difference_rows=partial(_difference_rows, texts=texts), rank_rows=partial(_rank_rows, texts=texts),
+        spread_rows=list(_spread_rows(summary["measures"], texts)),
         mixed_rows=list(_mixed_rows(summary["measures"], texts)), plan=list(_plan_rows(study)),
     )  # fmt: skip
 
@@ -197,8 +198,20 @@ def _difference_rows(measures: Iterable[dict[str, Any]], texts: Catalogue) -> It
             if one["confirmatory"]:
                 p = other.get("p_holm")
                 shown = "yes" if p is not None and p < 0.05 else "no"
-            effect, word = number(other["hedges_g"], "", texts), texts.phrase(f"report.{shown}")
-            yield [one["label"], other["condition"], interval(other, texts=texts), effect, p_value(p, texts), word]
+            g = {"mean": other["hedges_g"], "low": other["hedges_g_low"], "high": other["hedges_g_high"]}
+            effect = "" if g["mean"] is None else interval(g, 2, texts)
+            t = "" if other["t"] is None else f"{number(other['t'], texts=texts)} ({texts.decimal(other['df'], 1)})"
+            difference, word = interval(other, texts=texts), texts.phrase(f"report.{shown}")
+            yield [one["label"], other["condition"], difference, t, effect, p_value(p, texts), word]
+
+
+def _spread_rows(measures: Iterable[dict[str, Any]], texts: Catalogue) -> Iterator[list[str]]:
+    """Yield the rows of a table with the standard deviation and the median of each measure in each condition."""
+    for one in measures:
+        yield [one["label"]] + [
+            f"{number(cell['sd'], '-', texts)} ({number(cell['median'], texts=texts)})" if cell["n"] else "-"
+            for cell in one["cells"]
+        ]
 
 
 def _mixed_rows(measures: Iterable[dict[str, Any]], texts: Catalogue) -> Iterator[list[Any]]:

@@ -19,6 +19,7 @@ from planner.system.files import finite
 
 from ..learning.statistics import (
     FEW,
+    NONE,
     IntervalEstimate,
     RankTest,
     between_groups,
@@ -31,6 +32,7 @@ from ..learning.statistics import (
     newcombe,
     sign_test,
     signed_rank,
+    wilson,
 )
 from ..userstudy.outcomes import COMPLETION, COUNTED, Outcome, Row
 from ..userstudy.plan import UserStudy
@@ -40,6 +42,12 @@ from .repeated_measures import detectable_within, means_within, mixed_model, wit
 
 ALL = "all participants"
 """Stands for the condition where answers do not belong to one."""
+
+
+Ends = tuple[float, float]
+PERCENT = (0.0, 100.0)
+NUMBERS = ("mean", "low", "high", "sd", "median", "min", "max")
+"""The numbers of a measure in a condition."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +61,14 @@ class Measure:
         In the study's language.
     values : dict of dict
         Values by condition and participant, or group.
+    ends : tuple of float
+        The least and the largest value that is possible.
     """
 
     name: str
     label: str
     values: dict[str, dict[str, float]]
+    ends: Ends
 
 
 def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
@@ -70,14 +81,16 @@ def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
     }
     found[COMPLETION] = [(who, where, 100.0 * done) for who, where, _, done in attempts]
     for name, values in found.items():
-        yield Measure(name, phrase(f"report.measures.{name}"), _by_condition(_names(study), values, tables))
+        percent = name == COMPLETION or any(one.name == name and one.share_of is not None for one in COUNTED)
+        ends = PERCENT if percent else (0.0, math.inf)
+        yield Measure(name, phrase(f"report.measures.{name}"), _by_condition(_names(study), values, tables), ends)
     for one in study.questionnaires:
         if one.scale and study.is_by_condition(one):
             means = [(who, condition, one.mean(scores)) for who, condition, scores in scored(one, tables)]
             low, high, _ = one.scale[0].ends
             kind = "raw_mean" if one.form == TLX else "mean"
             label = phrase(f"report.{kind}", name=one.name, low=f"{low:g}", high=f"{high:g}")
-            yield Measure(one.name, label, _by_condition(_names(study), means, tables))
+            yield Measure(one.name, label, _by_condition(_names(study), means, tables), (low, high))
 
 
 def _names(study: UserStudy) -> list[str]:
@@ -230,12 +243,20 @@ def _measure(study: UserStudy, measure: Measure, tables: Tables) -> dict[str, An
         modelled = mixed_model(measure.values, periods, orders, study.reference)
     for name in measure.values:
         if name != study.reference and (compared := _compared(study, measure, name, periods)):
-            models = {"mixed_model": modelled[name].record()} if name in modelled else {}
+            span = measure.ends[1] - measure.ends[0]
+            models = {"mixed_model": modelled[name].within(-span, span).record()} if name in modelled else {}
             differences.append({"condition": name, "against": study.reference, **compared, **models})
     return {
         "measure": measure.name, "label": measure.label, "confirmatory": measure.name in study.confirmatory,
-        "cells": _cells(study, measure.values), "differences": differences,
+        "ends": [finite(end) for end in measure.ends],
+        "cells": _cells(study, measure.values, measure.ends, shares=_are_shares(study, measure)),
+        "differences": differences,
     }  # fmt: skip
+
+
+def _are_shares(study: UserStudy, measure: Measure) -> bool:
+    """Whether a measure is yes or no for each unit of analysis."""
+    return measure.name == COMPLETION and study.group is None
 
 
 def _orders(tables: Tables) -> dict[str, str]:
@@ -265,9 +286,8 @@ def _adjusted(study: UserStudy, rows: list[dict[str, Any]]) -> list[dict[str, An
     """Add Holm's adjusted p-values to the comparisons of the confirmatory measures, which are one family."""
     family = [one for row in rows if row["confirmatory"] for one in row["differences"]]
     # Comparisons without data count in the size of the family, as planned.
-    planned = len(study.confirmatory) * (len(study.conditions) - 1)
     given = [math.nan if one["p"] is None else one["p"] for one in family]
-    given += [math.nan] * (planned - len(family))
+    given += [math.nan] * (study.comparisons - len(family))
     for one, p in zip(family, holm(given), strict=False):
         one["p_holm"] = finite(p)
     return rows
@@ -288,16 +308,22 @@ def _compared(
         compared = within_participants(pairs, when)
     else:
         compared = between_groups(a, b)
-    found, effect, p = compared.difference, compared.hedges_g, compared.p
-    if measure.name == "completion" and study.group is None:
-        effect = math.nan
+    found, effect, p, t, freedom = (
+        compared.difference, compared.hedges_g, compared.p, compared.t, compared.freedom,
+    )  # fmt: skip
+    if _are_shares(study, measure):
+        effect, t, freedom = NONE, math.nan, math.nan
         if study.is_within:
             p = sign_test(sum(pair > 0 for pair in pairs), sum(pair < 0 for pair in pairs)).p
         else:
             counts = sum(value > 0 for value in a), len(a), sum(value > 0 for value in b), len(b)
             share, p = newcombe(*counts), fisher_p(*counts)
             found = IntervalEstimate(100 * share.value, 100 * share.low, 100 * share.high)
-    return {**found.record(), "hedges_g": finite(effect), "p": finite(p)}
+    span = measure.ends[1] - measure.ends[0]
+    return {
+        **found.within(-span, span).record(), "hedges_g": finite(effect.value), "hedges_g_low": finite(effect.low),
+        "hedges_g_high": finite(effect.high), "t": finite(t), "df": finite(freedom), "p": finite(p),
+    }  # fmt: skip
 
 
 def _ranked(study: UserStudy, own: dict[str, float], reference: dict[str, float]) -> RankTest | None:
@@ -347,17 +373,25 @@ def _likert(study: UserStudy, one: Questionnaire, tables: Tables) -> Iterator[Ro
         yield from _ranked_rows(study, what, _by_condition(_names(study), given, tables))
 
 
-def _cells(study: UserStudy, values: dict[str, dict[str, float]]) -> list[Row]:
-    """Return the numbers of each condition, from the values of units of analysis by condition."""
+def _cells(study: UserStudy, values: dict[str, dict[str, float]], ends: Ends, *, shares: bool = False) -> list[Row]:
+    """Return the numbers of each condition, from the values of units of analysis by condition.
+
+    Intervals are cut at the ends of the measure's range; those of `shares`, which are 0 or 100, are Wilson's.
+    """
     compared = means_within(values) if study.is_within and len(values) > 1 else {}
     found: list[Row] = []
     for name, own in values.items():
-        cell: Row = {"condition": name, "n": len(own), **dict.fromkeys(("mean", "low", "high", "sd", "median"))}
+        cell: Row = {"condition": name, "n": len(own), **dict.fromkeys(NUMBERS)}
         if own:
             each = list(own.values())
             sd = float(np.std(each, ddof=1)) if len(each) > 1 else math.nan
-            cell |= (compared[name] if compared else mean(each)).record()
-            cell |= {"sd": finite(sd), "median": float(np.median(each))}
+            if shares:
+                share = wilson(sum(value > 0 for value in each), len(each))
+                estimate = IntervalEstimate(100 * share.value, 100 * share.low, 100 * share.high)
+            else:
+                estimate = (compared[name] if compared else mean(each)).within(*ends)
+            cell |= estimate.record()
+            cell |= {"sd": finite(sd), "median": float(np.median(each)), "min": min(each), "max": max(each)}
         found.append(cell)
     return found
 
@@ -368,7 +402,9 @@ def _questionnaire(study: UserStudy, one: Questionnaire, tables: Tables) -> dict
     items = []
     for item in one.scale:
         given = ((who, condition, scores.get(item.name)) for who, condition, scores in rows)
-        items += [{"item": item.name, **cell} for cell in _cells(study, _by_condition(where, given, tables))]
+        items += [
+            {"item": item.name, **cell} for cell in _cells(study, _by_condition(where, given, tables), item.ends[:2])
+        ]
     # Answers of one participant in several conditions are not independent, so that each condition has an alpha.
     alphas = {name: _alpha(one, [row for row in rows if name in (ALL, row[1])]) for name in where}
     repeated = study.is_within and len(where) > 1
@@ -393,7 +429,9 @@ def _asked(study: UserStudy, one: Questionnaire, item: Item, tables: Tables) -> 
     answered = [row for row in own if row["answer"] is not None]
     rows = {name: [row for row in answered if name in (ALL, row["condition"])] for name in where}
     scores = ((row["participant"], row["condition"], row["score"]) for row in answered)
-    cells = _cells(study, _by_condition(where, scores, tables)) if item.is_scored else [{} for _ in where]
+    cells = (
+        _cells(study, _by_condition(where, scores, tables), item.ends[:2]) if item.is_scored else [{} for _ in where]
+    )
     for (name, given), cell in zip(rows.items(), cells, strict=True):
         counts = Counter(dict.fromkeys(item.options, 0))
         counts.update(row["option"] for row in given if item.form == CHOICES and row["answer"] in (True, "true"))

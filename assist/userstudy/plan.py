@@ -17,6 +17,7 @@ from ..people.ranges import Population
 from ..person.settings import Setting
 from ..texts.catalogue import Catalogue
 from .assignment import balanced_orders
+from .outcomes import COUNTED
 from .questionnaires import BEFORE, END, Item, Questionnaire
 
 BETWEEN, WITHIN = "between", "within"
@@ -258,6 +259,26 @@ class UserStudy(UserStudyPlan):
     def is_by_condition(self, questionnaire: Questionnaire) -> bool:
         """Whether the answers belong to one condition."""
         return questionnaire.when != BEFORE and not (questionnaire.when == END and self.is_within)
+
+    def conditions_with(self, outcome: str) -> tuple[str, ...]:
+        """Return the conditions in which an outcome or a questionnaire can have values.
+
+        A share of suggestions has none under the policy `none`, and a questionnaire none where it is not shown.
+        """
+        if any(one.name == outcome and one.share_of is not None for one in COUNTED):
+            return tuple(one.name for one in self.conditions if one.policy != "none")
+        asked = next((one.conditions for one in self.questionnaires if one.name == outcome), ())
+        return tuple(one.name for one in self.conditions if not asked or one.name in asked)
+
+    def compared_in(self, outcome: str) -> tuple[str, ...]:
+        """Return the conditions in which an outcome can be compared with the reference."""
+        found = self.conditions_with(outcome)
+        return tuple(name for name in found if name != self.reference) if self.reference in found else ()
+
+    @property
+    def comparisons(self) -> int:
+        """Number of comparisons of the confirmatory outcomes, the family over which p-values are adjusted."""
+        return sum(len(self.compared_in(name)) for name in self.confirmatory)
 
     @property
     def is_within(self) -> bool:

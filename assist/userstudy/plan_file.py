@@ -135,7 +135,7 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     )  # fmt: skip
     _check_group(file, table)
     _check_confirmatory(file, table.confirmatory, questionnaires)
-    return UserStudy(
+    study = UserStudy(
         **{name: getattr(table, name) for name in names_of(UserStudyPlan)},
         file=file, digest=hashlib.sha256(file.read_bytes()).hexdigest()[:32], title=table.title or file.stem,
         tasks=tuple(zip(stems, tasks, strict=True)),
@@ -146,6 +146,9 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         texts={"consent": table.consent, "instructions": table.instructions,
                "thanks": table.thanks or words("study.thanks_text")},
     )  # fmt: skip
+    if not carried_out:
+        _check_comparisons(file, study)
+    return study
 
 
 def _check_group(file: Path, table: FileTable) -> None:
@@ -178,6 +181,20 @@ def _check_confirmatory(file: Path, names: tuple[str, ...], questionnaires: tupl
         if name not in known or names.index(name) < number - 1:
             right = meant(name, known) if name not in known else "expected different names"
             raise fault(file, f"confirmatory[{number}]", f"'{name}'; {right}")
+
+
+def _check_comparisons(file: Path, study: UserStudy) -> None:
+    """Check that each confirmatory outcome can be compared with the reference in at least one condition."""
+    for number, name in enumerate(study.confirmatory, start=1):
+        found = study.conditions_with(name)
+        if len(study.conditions) > 1 and not study.compared_in(name):
+            what = "has values" if name in OUTCOMES else "is asked"
+            where = f"condition {found[0]} only" if len(found) == 1 else f"the conditions {', '.join(found)}"
+            where = where if found else "no condition"
+            needed = f"expected an outcome of the reference '{study.reference}' and of another condition"
+            raise fault(
+                file, f"confirmatory[{number}]", f"'{name}' {what} in {where}, so it cannot be compared; {needed}"
+            )
 
 
 def _conditions(file: Path, tables: tuple[ConditionTable, ...], carried_out: bool) -> list[str]:

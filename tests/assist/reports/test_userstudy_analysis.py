@@ -375,9 +375,60 @@ def test_what_cannot_be_confirmatory_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputFileError, match=said):
             study_with(tmp_path, CONFIRMED.replace('["actions", "trust"]', wrong))
-    for name in OUTCOMES:
+    for name in {*OUTCOMES} - {"followed"}:
         assert study_with(tmp_path, CONFIRMED.replace('"trust"', f'"{name}"').replace('["actions", "actions"]',
                           '["actions"]')).confirmatory  # fmt: skip
+
+
+def test_a_confirmatory_outcome_can_be_compared_with_the_reference(tmp_path: Path) -> None:
+    only = CONFIRMED.replace('name = "trust"', 'name = "trust"\nconditions = ["attention"]')
+    with pytest.raises(InputFileError, match=r"confirmatory\[2\]: 'trust' is asked in condition attention only, so it"):
+        study_with(tmp_path, only)
+    with pytest.raises(InputFileError, match=r"\[2\]: 'followed' has values in condition attention only, so it cannot"):
+        study_with(tmp_path, CONFIRMED.replace('"trust"]', '"followed"]'))
+    # The family has the comparisons that are possible, here two of `actions` and one of `trust`.
+    third = '\n[[conditions]]\nname = "third"\npolicy = "reactive"\n'
+    study = study_with(tmp_path, only.replace('["attention"]', '["none", "attention"]') + third)
+    assert (study.comparisons, study.compared_in("trust")) == (3, ("attention",))
+
+
+def test_no_interval_leaves_the_range_of_what_is_measured(tmp_path: Path) -> None:
+    rows = [("attention", "attention", 1, value, trust) for value, trust in ((40, 7), (2, 7), (None, 4))]
+    rows += [("none", "none", 1, value, 1) for value in (9, None)]
+    tables = rows_of(rows)
+    for task in tables.tasks:
+        task |= {"suggestions": 3, "followed": 3 if task["actions"] == 40 else 1}
+    measured = {one["measure"]: one for one in summarise(study_with(tmp_path), tables)["measures"]}
+    cells = {(name, cell["condition"]): cell for name, one in measured.items() for cell in one["cells"]}
+    peer = stats.binomtest(2, 3).proportion_ci(method="wilson")
+    share = cells["completion", "attention"]
+    assert (share["low"], share["high"]) == pytest.approx((100 * peer.low, 100 * peer.high))
+    assert cells["actions", "attention"]["low"] == 0  # Student's is below 0
+    assert (cells["followed", "attention"]["low"], cells["followed", "attention"]["high"]) == (0, 100)
+    assert cells["trust", "attention"]["high"] == 7
+    assert (cells["trust", "none"]["mean"], cells["trust", "none"]["low"]) == (1, None)  # equal values
+    for one in measured.values():
+        least, most = (math.inf if end is None else end for end in one["ends"])
+        for cell in one["cells"]:
+            assert cell["low"] is None or least <= cell["low"] <= cell["mean"] <= cell["high"] <= most
+        for found in one["differences"]:
+            assert found["low"] is None or least - most <= found["low"] <= found["high"] <= most - least
+
+
+def test_differences_have_their_statistic_and_the_interval_of_the_effect(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    rows = [(name, name, 1, int(rng.integers(6, 20)), 4) for name in ("none", "attention") * 7]
+    summary = summarise(study_with(tmp_path), rows_of(rows))
+    (found,) = summary["measures"][0]["differences"]
+    a, b = ([row[3] for row in rows if row[0] == name] for name in ("attention", "none"))
+    peer = stats.ttest_ind(a, b, equal_var=False)
+    assert (found["t"], found["df"]) == pytest.approx((peer.statistic, peer.df))
+    pooled = stats.ttest_ind(a, b).statistic
+    for end, p in (("hedges_g_low", 0.975), ("hedges_g_high", 0.025)):
+        size = found[end] / (1 - 3 / 47) * math.sqrt(7 / 2)
+        assert stats.nct.cdf(pooled, 12, size) == pytest.approx(p, abs=1e-4)
+    (completed,) = next(one for one in summary["measures"] if one["measure"] == "completion")["differences"]
+    assert (completed["t"], completed["df"], completed["hedges_g_low"]) == (None, None, None)
 
 
 def exported(folder: Path, tables: Tables, text: str = CONFIRMED) -> Path:

@@ -334,16 +334,16 @@ def test_statistics_are_those_worked_out_by_hand() -> None:
     compared = between_groups(a, b)
     found, peer = compared.difference, stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
     assert (found.value, found.low, found.high) == pytest.approx((-3, peer.low, peer.high))
-    assert compared.hedges_g == pytest.approx(-3 / math.sqrt(4.4) * (1 - 3 / 19))
+    assert compared.hedges_g.value == pytest.approx(-3 / math.sqrt(4.4) * (1 - 3 / 19))
     assert cronbach_alpha([[1, 1], [2, 3], [3, 2]]) == pytest.approx(2 * (1 - 2 / 3))
     assert cronbach_alpha([[1, 2], [2, 3], [3, 4]]) == pytest.approx(1)
     assert detectable(126, math.sqrt(32)) == pytest.approx(0.5, abs=0.005)  # Cohen (1988): 64 in each group for d = 0.5
     crossed = [(1, 2), (2, 1)]
     assert detectable_within(crossed * 17) == pytest.approx(0.5, abs=0.01)  # as G*Power has it: 34 pairs for d = 0.5
     for nothing in (
-        within_participants([1, 1], crossed).difference.low, within_participants([1, 2], crossed).hedges_g,
+        within_participants([1, 1], crossed).difference.low, within_participants([1, 2], crossed).hedges_g.value,
         detectable_within([(1, 2)]), detectable_within(crossed), detectable_within([(1, 2)] * 9),
-        between_groups([1], [2, 3]).difference.low, between_groups([1], [2, 3]).hedges_g,
+        between_groups([1], [2, 3]).difference.low, between_groups([1], [2, 3]).hedges_g.value,
         between_groups([1, 1], [2, 2]).p, cronbach_alpha([[1, 2]]), detectable(0, 1.0),
     ):  # fmt: skip
         assert math.isnan(nothing)
