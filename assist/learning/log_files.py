@@ -69,6 +69,7 @@ class Taken:
     idle: list[int] = field(default_factory=list)
     outside: list[int] = field(default_factory=list)
     heads: list[int] = field(default_factory=list)
+    doubtful: list[int] = field(default_factory=list)
     asked: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
@@ -82,6 +83,7 @@ class Taken:
         said += [f"{sign} (first on line {line})" for sign, line in self.signs.items()]
         said += _lines_as(self.idle, "without an action", "as nothing done")
         said += _lines_as(self.outside, "without an action in a step of an episode", "as no part of one")
+        said += _lines_as(self.doubtful, "with an action that was seen with doubt (`uncertain`)", "as if it was done")
         said += _lines_as(self.heads, "with the names of the columns", "as the beginning of a further table")
         return "; ".join([*[f"read {', '.join(said)}"] * bool(said), *self.asked])
 
@@ -293,6 +295,7 @@ def named_rows(rows: Sequence[Row], columns: Mapping[str, str], name: object, ta
         if not isinstance(record, Mapping):
             found.append((number, record))
             continue
+        taken.doubtful += [number] * (record.get("uncertain") is True)
         mine = {renamed[key]: value for key, value in record.items() if key in renamed}
         twice = next((name for name, n in Counter(renamed[k] for k in record if k in renamed).items() if n > 1), None)
         found.append((number, mine if twice is None else Broken(f"two fields are called {source[twice]}")))

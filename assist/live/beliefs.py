@@ -127,7 +127,8 @@ def correct(team: Roster, record: RosterEntry, action: str, setting: Setting) ->
         goal. Nothing has changed.
     """
     k, seen, row = record.place, record.steps[-1], team.row(record)
-    record.steps[-1] = seen._replace(action=action, seen={"likelihoods": {action: 1.0}}, slot=NOTHING)
+    known = {"likelihoods": {action: 1.0}}
+    record.steps[-1] = seen._replace(action=action, seen=known, slot=NOTHING, doubtful=False)
     try:
         with unchanged_if_refused(team, record):
             erred = believe_again(team, record, setting)

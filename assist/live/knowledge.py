@@ -248,7 +248,8 @@ class Knowledge:
                 action = max(seen["likelihoods"], key=seen["likelihoods"].get)
             elif action is not None:
                 action = problem.named(action)
-            step = Step(problem.place(row), robot, NOTHING, action, suggestion, seen)
+            doubtful = seen is not None or self.setting.observation is not None
+            step = Step(problem.place(row), robot, NOTHING, action, suggestion, seen, doubtful)
             erred = believe(self.roster, record, step, self.setting)
             to = self.roster.row(record)
             if missed is not None and missed < 1 / 2:

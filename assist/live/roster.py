@@ -22,8 +22,8 @@ from .live_task import LiveTask
 
 V = TypeVar("V")
 
-Said = tuple[str | None, str | None]
-"""An action and the suggestion before it, in PDDL notation."""
+Said = tuple[str | None, str | None, bool]
+"""An action and the suggestion before it, in PDDL notation, and whether the action is doubtful."""
 
 
 class Step(NamedTuple):
@@ -31,7 +31,7 @@ class Step(NamedTuple):
 
     `place` is a place of `LiveTask`. The suggestion is None if the robot action was none. `seen` is what was seen if
     the action is uncertain: `likelihoods`, or the probability `missed` that one was missed. The action is then the
-    likeliest one, or None.
+    likeliest one, or None. It is also `doubtful` if the robot sees all actions unreliably.
     """
 
     place: int
@@ -40,6 +40,7 @@ class Step(NamedTuple):
     action: str | None
     suggestion: str | None
     seen: Mapping[str, Any] | None = None
+    doubtful: bool = False
 
 
 class Told(NamedTuple):
@@ -79,20 +80,24 @@ class FinishedTasks:
 
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers
-        self._ends, self._done = array("q"), array("i")  # action and suggestion of each step alternate
+        # Action, or its complement if it is doubtful, and suggestion of each step alternate.
+        self._ends, self._done = array("q"), array("i")
 
     def add(self, steps: list[Step]) -> None:
         """Append a task that was finished or left, with its steps."""
         for step in steps:
-            for name in step.action, step.suggestion:
-                self._done.append(self._numbers.setdefault(name, len(self._numbers)))
+            action, said = (
+                self._numbers.setdefault(name, len(self._numbers)) for name in (step.action, step.suggestion)
+            )
+            self._done.extend((~action if step.doubtful else action, said))
         self._ends.append(len(self._done))
 
     def __iter__(self) -> Iterator[list[Said]]:
         """Yield the steps of each task."""
         names, begin = list(self._numbers), 0
         for end in self._ends:
-            yield [(names[self._done[at]], names[self._done[at + 1]]) for at in range(begin, end, 2)]
+            pairs = [(self._done[at], self._done[at + 1]) for at in range(begin, end, 2)]
+            yield [(names[max(action, ~action)], names[said], action < 0) for action, said in pairs]
             begin = end
 
 
@@ -183,14 +188,18 @@ class RosterEntry:
         _set(self.team.questions, self.place, question)
 
     def log(self) -> Iterator[dict[str, Any]]:
-        """Yield all actions as `fit` reads them, with their tasks and times; what was perhaps missed has no row."""
-        times, now = iter(self.times), [(step.action, step.suggestion) for step in self.steps]
+        """Yield all actions as `fit` reads them, with their tasks and times; what was perhaps missed has no row.
+
+        Those that were seen with doubt are marked as `uncertain`.
+        """
+        times, now = iter(self.times), [(step.action, step.suggestion, step.doubtful) for step in self.steps]
         for number, (task, steps) in enumerate(zip(self.tasks, [*self.past, now], strict=True), start=1):
             count = 0
-            for (action, suggestion), time in zip(steps, times, strict=False):
+            for (action, suggestion, doubtful), time in zip(steps, times, strict=False):
                 row = {"person": self.name, "episode": str(number), "step": count, "action": action}
                 if action is not None:
-                    yield row | {"suggestion": suggestion, "task": task, "time": time}
+                    doubt = {"uncertain": True} if doubtful else {}
+                    yield row | {"suggestion": suggestion, "task": task, "time": time, **doubt}
                 count += action is not None
 
     def close_questions(self) -> None:

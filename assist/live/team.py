@@ -203,6 +203,7 @@ class Team(History[TeamRecord]):
             "reason": _plain(entry.reason) if known.suggestion is not None else None,
             "cost_to_go": _finite(known.cost_to_go), "steps": known.steps, "finished": known.finished,
             "explained": True, "seq": entry.seq,
+            **({"state_probability": known.states[known.state]} if known.states else {}),
             **({} if known.question is None else {"question": known.question.as_dict()}),
             **({} if known.answered is None else {"answered": dict(zip(("goal", "yes"), known.answered, strict=True))}),
         }  # fmt: skip

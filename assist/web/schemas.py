@@ -83,6 +83,9 @@ class Person(BaseModel):
     finished: bool
     explained: bool = Field(description="Whether the explanation can be asked for.")
     seq: int
+    state_probability: float | None = Field(
+        None, description="Probability of the state that is shown, the most probable one, after doubtful actions."
+    )
     question: Asked | None = Field(None, description="The open question to the person, if there is one.")
     answered: GoalAnswer | None = Field(None, description="The last answer about the goal of this task, if any.")
 

@@ -11,6 +11,7 @@ import pytest
 from conftest import kit
 from test_unreliable_observations import by_enumeration, problem
 
+from assist.learning.log import Log
 from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
@@ -103,6 +104,23 @@ def test_a_wrong_observation_is_survived_taken_back_and_saved(policy: str) -> No
     assert json.loads(again.to_json()) == json.loads(team.to_json())
 
 
+def test_the_log_marks_what_was_seen_with_doubt_and_a_reader_of_it_is_told() -> None:
+    """Also in tasks that are finished or left; not an action that its person has confirmed."""
+    team = desk(SURE)
+    team.observe("ann", FETCH)
+    team.observe("ann", likelihoods=dict.fromkeys(team.person("ann").applicable, 1.0))
+    team.begin("ann")
+    team.observe("ann", likelihoods={FETCH: 0.7, OTHER: 0.3})
+    assert [row.get("uncertain") for row in team.log()] == [None, True, True]
+    team.answer("ann", FETCH)
+    assert [row.get("uncertain") for row in team.log()] == [None, True, None]
+    noisy = desk()
+    noisy.observe("ann", FETCH)
+    assert [row.get("uncertain") for row in noisy.log()] == [True]
+    said = "read line 1, with an action that was seen with doubt (`uncertain`), as if it was done"
+    assert (Log.of(noisy.log()).note, Log.of([{**noisy.log()[0], "uncertain": False}]).note) == (said, "")
+
+
 def test_a_question_is_worth_something_where_the_answer_changes_what_the_robot_does() -> None:
     team = desk(SURE)
     options = team.person("ann").applicable
@@ -143,10 +161,11 @@ def test_a_session_of_noisy_observations_resumes_with_its_beliefs(tmp_path: Path
         return Session(kit("tiny"), tmp_path / "journal.sqlite", setting=NOISY)
 
     session = opened()
-    session.join("ann")
+    assert "state_probability" not in session.join("ann")
     action = session.person("ann")["applicable"][0]
-    session.observe("ann", action)
-    session.observe("ann", action)  # seen twice, though it is applicable once
+    once = session.observe("ann", action)["state_probability"]
+    twice = session.observe("ann", action)["state_probability"]  # though it is applicable once
+    assert 0 < twice < once < 1
     believed, view = session.beliefs(), session.person("ann")
     session.close()
     session = opened()
