@@ -37,7 +37,7 @@ def function_beside(folder: Path, text: str) -> str:
 
 
 def load(file: Path, name: str) -> Callable[..., Any]:
-    """Load a function from a Python file.
+    """Load a function from a Python file. A class without arguments stands for its object.
 
     Raises
     ------
@@ -45,7 +45,8 @@ def load(file: Path, name: str) -> Callable[..., Any]:
         There is no such file or function, or the file cannot be run.
     """
     if not file.is_file():
-        raise UserCodeError(f"{file}: no such file")
+        meant = f"; did you mean {file}.py?" if Path(f"{file}.py").is_file() else ""
+        raise UserCodeError(f"{file}: no such file{meant}")
     # A unique module name for each file, so that its classes can be pickled.
     module_name = f"_own_{sha256(str(file.resolve()).encode()).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(module_name, file)
@@ -58,9 +59,25 @@ def load(file: Path, name: str) -> Callable[..., Any]:
     except (Exception, SystemExit) as error:
         raise UserCodeError(described(error, file)) from error
     function = getattr(module, name, None)
+    if isinstance(function, type):
+        function = object_of(function, f"{file}:{name}")
     if not callable(function):
         raise UserCodeError(f"{file}: has no function '{name}'")
     return function
+
+
+def object_of(given: type, name: str) -> Any:
+    """Return the object of a class without arguments.
+
+    Raises
+    ------
+    UserCodeError
+        The class needs arguments.
+    """
+    try:
+        return given()
+    except TypeError as error:
+        raise UserCodeError(f"{name}: {error}; expected a class without arguments, or its object") from None
 
 
 def described(error: Exception | SystemExit, file: Path) -> str:

@@ -28,7 +28,7 @@ from ..people.memory import remembered
 from ..people.ranges import Population
 from ..people.terms import Situation
 from ..people.trust_rules import Event, Feedback, TrustRule
-from ..people.user_code import UserChoiceModel, UserCodeError, described, parse
+from ..people.user_code import UserChoiceModel, UserCodeError, described, object_of, parse
 from ..people.user_code import load as load_function
 from ..person.observation_model import ObservationModel
 from ..person.robots import Robot
@@ -55,6 +55,9 @@ PLACES = """
 
 MANY = 8
 """Episodes of a trial: enough that several teams are decided on at a time."""
+
+MORE = 40
+"""Episodes of the trial in which other teams must not matter: while some teams finish, others are at work for long."""
 
 
 @dataclass(frozen=True)
@@ -94,10 +97,17 @@ class Checked:
         return tuple(trial for trial in self.trials if trial.fault is not None)
 
     def __str__(self) -> str:
-        """Return a line for each fault, or one line if there is none."""
+        """Return a line for each kind of fault with its first situation, or one line if there is none."""
         if not self.faults:
             return f"{self.name} ({self.kind}): all {len(self.trials)} trials passed"
-        return "\n".join(f"{self.name} ({self.kind}), {one.what}: {one.fault}" for one in self.faults)
+        where: dict[str, list[str]] = {}
+        for one in self.faults:
+            where.setdefault(str(one.fault), []).append(one.what)
+        count = f" (and {{}} more of {len(self.trials)} trials)".format
+        return "\n".join(
+            f"{self.name} ({self.kind}), {what[0]}{count(len(what) - 1) if len(what) > 1 else ''}: {fault}"
+            for fault, what in where.items()
+        )
 
     __repr__ = __str__
 
@@ -162,10 +172,7 @@ def _loaded(code: Any) -> tuple[str, Path | None, Any]:
         (file, called), name = place, code
         code = load_function(file, called)
     if isinstance(code, type):
-        try:
-            code = code()
-        except TypeError as error:
-            raise UserCodeError(f"{name}: {error}; expected a class without arguments, or its object") from None
+        code = object_of(code, name)
     if not callable(code) and not hasattr(code, "update"):
         raise UserCodeError(f"{name}: expected a function, or a trust rule with a method `update`")
     return name, file, code
@@ -244,10 +251,18 @@ def _of_policy(code: TeamPolicy, file: Path | None) -> Trials:
     def alone() -> str | None:
         drawn = Pool.sample(_table(TINY), 4, seed=0, progress=False)
         again = partial(simulate, drawn, policy, humans=3, seed=0, progress=False)
-        together = again(episodes=MANY).discounted_return
-        each = [again(episodes=[number]).discounted_return[0] for number in range(MANY)]
-        if (together == again(episodes=MANY).discounted_return).all() and (together != np.array(each)).any():
-            return "chooses otherwise for a team when other teams are simulated with it; expected each row by itself"
+        together = again(episodes=MORE).discounted_return
+        if (together != again(episodes=MORE).discounted_return).any():
+            return (
+                "leads to other episodes when the same are simulated again; expected the same choice in the same "
+                "state, without memory of former calls and without random numbers"
+            )
+        parts = [again(episodes=range(first, first + MANY)).discounted_return for first in range(0, MORE, MANY)]
+        if (together != np.concatenate(parts)).any():
+            return (
+                "chooses otherwise for a team when other teams are simulated with it; expected each row by itself, "
+                "without memory of former calls, in which rows were other teams"
+            )
         return None
 
     yield "each team by itself", alone

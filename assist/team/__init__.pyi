@@ -1,3 +1,4 @@
+from .assignment import assigned as assigned
 from .attention import AttentionSwitching as AttentionSwitching
 from .attention import NoAssistance as NoAssistance
 from .attention import Reactive as Reactive

@@ -7,7 +7,7 @@ same form can be used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Protocol
@@ -174,7 +174,7 @@ class TeamState:
     def known_of(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
         """Return the states, shape (m,), and beliefs, shape (m, H, T), of people with indices as in `groups`."""
         if self.belief is None:
-            raise ValueError("the policy has said that it uses no beliefs")
+            raise ValueError("the policy has said that it uses no beliefs; expected no `uses_belief = False` here")
         return self.x.ravel()[rows], self.belief.reshape(-1, *self.belief.shape[2:]).take(rows, axis=0)
 
     def of_each(self, ask: Ask) -> Floats:
@@ -221,6 +221,21 @@ class TeamState:
         for group, rows in self.groups():
             h = self.policies[group].pomdp.model.choices.goals.h[:, self.x.ravel()[rows]].T
             mean[rows] = mean_over_goals(h, self._share_of_goals(group, rows))
+        return mean.reshape(self.x.shape)
+
+    def mean_beta(self) -> Floats:
+        """Return each person's expertise in the mean under the belief, shape (N, K); 0 for people not active."""
+        return self._means(lambda policy: policy.pomdp.hidden.expertise[:, None])
+
+    def mean_theta(self) -> Floats:
+        """Return each person's influence in the mean under the belief, shape (N, K); 0 for people not active."""
+        return self._means(lambda policy: policy.pomdp.grid.theta[None])
+
+    def _means(self, values: Callable[[Policy], Floats]) -> Floats:
+        """Return a mean for each person, shape (N, K), of values that broadcast with the belief, shape (H, T)."""
+        mean = np.zeros(self.x.size)
+        for group, rows in self.groups():
+            mean[rows] = (self.known_of(rows)[1] * values(self.policies[group])).sum(axis=(1, 2))
         return mean.reshape(self.x.shape)
 
     def _share_of_goals(self, group: int, rows: NDArray[np.int64]) -> Floats:

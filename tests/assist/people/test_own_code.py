@@ -19,6 +19,7 @@ from assist.people.terms import TERMS
 from assist.people.trust_rules import EquationSeven, LogitSteps, Reliability
 from assist.people.user_code import UserCodeError
 from assist.study import own_code
+from assist.team import assigned
 from assist.team.policies import named
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -63,11 +64,47 @@ def test_other_policies_pass() -> None:
         assert (found.kind, found.faults, len(found.trials)) == ("policy", (), 2), str(found)
 
 
-def test_a_policy_for_one_robot_says_so_with_two() -> None:
-    found = assist.check(f"{EXAMPLES / 'policies.py'}:furthest_first")
-    assert {"two robots", "two robots that differ"} <= {one.what for one in found.faults}
-    assert "policies.py:13" in only(found, "two robots")
-    assert "three people" not in {one.what for one in found.faults}
+def test_a_policy_for_one_robot_says_so_with_two(tmp_path: Path) -> None:
+    """In one line for both situations."""
+    (file := tmp_path / "own.py").write_text(
+        "def in_turn(team):\n    return team.act(team.active.argmax(axis=1), team.first_optimal())\n"
+    )
+    found = assist.check(f"{file}:in_turn")
+    assert {"two robots", "two robots that differ"} == {one.what for one in found.faults}
+    assert "own.py:2" in only(found, "two robots")
+    assert str(found).splitlines()[0].startswith(f"{file}:in_turn (policy), two robots (and 1 more of 13 trials): ")
+    assert len(str(found).splitlines()) == 1
+
+
+def by_the_mean(team: Any) -> Any:
+    return team.act(assigned(team, (team.mean_theta() - team.mean_beta() / 10)[:, None] + 0.1), team.first_optimal())
+
+
+def test_a_policy_that_uses_beliefs_and_an_assignment_passes_everywhere() -> None:
+    for policy in (by_the_mean, f"{EXAMPLES / 'policies.py'}:furthest_first"):
+        assert assist.check(policy).faults == ()
+
+
+class Stuck:
+    """Helps those who have not come closer for long; it remembers by rows, in which other teams are later."""
+
+    def __call__(self, team: Any) -> Any:
+        far = team.cost_to_go()
+        if team.step == 0 or self.best.shape != far.shape:
+            self.best, self.since = far.copy(), np.zeros(far.shape)
+        self.since = np.where(far < self.best, 0, self.since + 1)
+        self.best = np.minimum(self.best, far)
+        return team.act(assigned(team, np.where(self.since > 1, self.since, -1.0)[:, None]), team.first_optimal())
+
+
+class Draws:
+    """Goes to anybody."""
+
+    def __init__(self) -> None:
+        self.rng = np.random.default_rng(0)
+
+    def __call__(self, team: Any) -> Any:
+        return team.act(assigned(team, self.rng.random(team.active.shape)[:, None]), team.first_optimal())
 
 
 def of_the_batch(team: Any) -> Any:
@@ -91,6 +128,8 @@ def broken(team: Any) -> Any:
     ("policy", "what", "said"),
     [
         (of_the_batch, "each team by itself", "other teams"),
+        (Stuck(), "each team by itself", "without memory"),
+        (Draws, "each team by itself", "without random numbers"),
         (outside, "three people", "expected 0 to 2"),
         (broken, "three people", "no_such_thing"),
         (lambda _: None, "three people", "TeamAction"),
