@@ -63,7 +63,7 @@ from .action_values import action_values
 from .problem_arrays import ProblemArrays, read_only
 from .rounding import compiled as compiled_rounding
 from .rounding import rounding
-from .sparse_iteration import improve_small, is_small
+from .sparse_iteration import SparseBackup, improve_small
 
 COMPILED_FOR = "values of a large problem: about four seconds"
 
@@ -78,7 +78,6 @@ FEW_SWEEPS = 20  # over a region, after which equations are solved rarely; a doz
 PLAIN_SWEEPS = 12  # sweeps over equations before a Krylov method takes over: they converge fast, or slowly
 ONLY = np.int64(0)  # the place of the only type; numba would compile again for a literal
 NOWHERE = np.empty((0, 0, 0, 0))  # in the place of Q-values that are not wanted
-ROUGH = 1e-4  # tolerance of values, in cost units, from which sweeps alone may be enough: those of leaves
 AT_ONCE = 20_000_000  # entries that are read before the clock is; they take about 0.02 s
 INEXACT = 0.05  # equations of a policy that will change are solved to this share of the last change
 FEW_CHANGES = 1e-3  # share of a policy; one that changes by less is nearly the best, and is solved precisely
@@ -114,6 +113,7 @@ def improve(
     progress: Progress | None = None,
     *,
     below: bool = False,
+    backup: SparseBackup | None = None,
 ) -> bool:
     """Replace values, shape (n, H, T), by those of the best policy or of a given one; return whether they converged.
 
@@ -133,6 +133,8 @@ def improve(
         Receives the number of sweeps at most five times a second.
     below : bool
         Whether lower bounds are wanted, of the policy `robot`.
+    backup : SparseBackup, optional
+        That of the arrays, by which a small problem is solved in numpy.
     """
     last, swept, stopped = time.perf_counter(), 0, False
 
@@ -146,8 +148,8 @@ def improve(
             last = now
             progress(SOLVING, swept, None)
 
-    if is_small(value.size) and limits.tolerance <= ROUGH:
-        return improve_small(value, robot, arrays, limits.tolerance, limits.sweeps, stop, count, below=below)
+    if backup is not None:
+        return improve_small(value, robot, arrays, backup, limits.tolerance, limits.sweeps, stop, count, below=below)
     of_goals = [_of_goal(arrays, goal) for goal in range(len(regions))]
 
     def one(h: int) -> bool:

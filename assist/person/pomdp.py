@@ -74,6 +74,9 @@ class AssistPOMDP:
         Frontier states and their bounds, if the problem is truncated.
     order : int array, shape (G, n), or None
         All states in the order of a value-iteration sweep for each goal; ascending cost-to-go by default.
+    alike : int
+        Number of people whose problems of this size are solved one after another. Where they are many, code is compiled
+        for them.
     """
 
     model: HumanModel
@@ -93,6 +96,7 @@ class AssistPOMDP:
     order: NDArray[np.int64] | None = None
     followed_low: NDArray[np.int64] | None = None
     followed_weight: Floats | None = None
+    alike: int = 1
 
     __repr__ = outline
 

@@ -31,10 +31,11 @@ from .policy_iteration import SOLVING, Limits, improve, rounding_error, sweep
 from .policy_iteration import load_compiled as load_iteration
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
-from .sparse_iteration import is_small, q_table
+from .sparse_iteration import SparseBackup, is_small, q_table
 
 COMPILED_FOR = "values of a large problem: about four seconds"
 
+ROUGH = 1e-4  # tolerance of values, in cost units, from which sweeps alone may be enough: those of leaves
 MOST_SWEEPS = 10_000  # default limit of sweeps over all states; a dozen are enough in all tasks that were tried
 
 
@@ -70,7 +71,7 @@ class QMDP(Policy):
         belief : float array, shape (N, H, T)
         """
         acting = self.pomdp.hidden.acting(belief)
-        if is_small(self.value_mdp.size):
+        if is_small(self.pomdp):
             return _expected_of_few(self.q_mdp, self.pomdp.robot_actions, x, acting)
         return expected(self.q_mdp, self.pomdp.robot_actions, x, acting)
 
@@ -147,17 +148,18 @@ def qmdp(
     value = initial_upper_bounds(pomdp)
     if above is not None:
         value = np.minimum(value, above)
+    backup = SparseBackup.of_small(pomdp)
     converged = value_iteration(
-        pomdp, value, tolerance=tolerance, max_sweeps=max_sweeps, deadline=deadline, progress=progress
+        pomdp, value, tolerance=tolerance, max_sweeps=max_sweeps, deadline=deadline, progress=progress, backup=backup
     )
     if not converged and time.perf_counter() < deadline:
         raise RuntimeError(f"policy iteration has not converged after {max_sweeps} sweeps")
-    return look_ahead(pomdp, value)
+    return look_ahead(pomdp, value, backup=backup)
 
 
 def load_compiled(pomdp: AssistPOMDP) -> None:
     """Load, or compile, the code that `qmdp` needs. Compilation takes seconds, once after an installation."""
-    if not is_small(pomdp.prior.size * len(pomdp.ends)):
+    if not is_small(pomdp):
         load_iteration(ProblemArrays.of(pomdp))
 
 
@@ -190,16 +192,22 @@ def value_iteration(
     max_sweeps: int = MOST_SWEEPS,
     deadline: float = math.inf,
     progress: Progress | None = None,
+    backup: SparseBackup | None = None,
 ) -> bool:
     """Improve values, shape (n, H, T), in place, as `policy_iteration.improve` says; return whether they converged.
 
-    The values of final states do not change. The other arguments are as in `qmdp`.
+    The values of final states do not change. The other arguments are as in `qmdp`; `backup` is that of the problem, if
+    it is known.
     """
-    robot, arrays = np.full(len(value), BEST), ProblemArrays.of(pomdp)
-    return improve(value, regions(pomdp), robot, arrays, Limits(tolerance, max_sweeps, deadline), progress)
+    robot, limits = np.full(len(value), BEST), Limits(tolerance, max_sweeps, deadline)
+    if backup is None and tolerance <= ROUGH:
+        backup = SparseBackup.of_small(pomdp)
+    return improve(value, regions(pomdp), robot, ProblemArrays.of(pomdp), limits, progress, backup=backup)
 
 
-def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = None) -> QMDP:
+def look_ahead(
+    pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = None, backup: SparseBackup | None = None
+) -> QMDP:
     """Return the policy that is greedy with respect to values, shape (n, H, T), by one exact Bellman backup.
 
     Parameters
@@ -208,12 +216,14 @@ def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | No
     value : float array, shape (n, H, T)
     states : int array, optional
         States in which the policy will be used; all by default.
+    backup : SparseBackup, optional
+        That of the problem, if it is known; a small problem needs it.
     """
     asked = read_only(np.arange(len(value)) if states is None else states, np.int64)
     best, policy = read_only(np.full(len(value), BEST)), np.zeros((len(value), value.shape[2]), dtype=np.int32)
-    arrays = ProblemArrays.of(pomdp)
-    if is_small(value.size):
-        return QMDP(pomdp, value, q_table(value, asked, arrays))
+    backup, arrays = backup or SparseBackup.of_small(pomdp), ProblemArrays.of(pomdp)
+    if backup is not None:
+        return QMDP(pomdp, value, q_table(value, asked, backup, arrays.suggested.shape[1]))
     # Rows of other states are never written to, so that they take neither time nor physical memory.
     q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
     own = value if value.flags.writeable else value.copy()  # the same compiled code may also replace values
@@ -260,7 +270,8 @@ def evaluate(
     if pomdp.frontier is not None:
         value[pomdp.frontier.states] = pomdp.frontier.lower
     limits = Limits(tolerance, max_sweeps or MOST_SWEEPS, deadline)
-    converged = improve(value, regions(pomdp), robot, arrays, limits, below=True)
+    backup = SparseBackup.of_small(pomdp)
+    converged = improve(value, regions(pomdp), robot, arrays, limits, below=True, backup=backup)
     if not converged and max_sweeps is None and time.perf_counter() < deadline:
         raise RuntimeError(f"a policy's values have not converged after {MOST_SWEEPS} sweeps")
     return value - np.where(active[:, :, None], rounding_error(value, arrays), 0.0)

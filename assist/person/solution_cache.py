@@ -16,6 +16,7 @@ from ..people.decision import Floats
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
 from .qmdp import QMDP, initial_upper_bounds, look_ahead, qmdp, sweep_order
+from .sparse_iteration import is_small
 
 
 class SolutionCache:
@@ -59,7 +60,7 @@ class SolutionCache:
 
 def _key(pomdp: AssistPOMDP, tolerance: float) -> bytes:
     """Return a digest of all that the values depend on."""
-    digest = hashlib.sha256(repr(tolerance).encode())
+    digest = hashlib.sha256(f"{tolerance} {is_small(pomdp)}".encode())
     orders = (sweep_order(pomdp, goal) for goal in range(len(pomdp.final)))
     for part in (*ProblemArrays.of(pomdp), initial_upper_bounds(pomdp), *orders):
         array = np.ascontiguousarray(part)

@@ -5,7 +5,8 @@ of a policy. Two steps alternate: a Bellman backup of all states, which also giv
 its equations. While the policy still changes much, its equations are solved roughly. The bounds and the stopping rule
 are those of `policy_iteration`, whose theorem holds for any values before a backup.
 
-A problem is small if it has few values: compiling `policy_iteration` would then take longer than it saves.
+A problem is small if it has few values, also together with those of the people it is solved for: compiling
+`policy_iteration` would then take longer than it saves.
 """
 
 from __future__ import annotations
@@ -19,13 +20,17 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from . import krylov
+from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
 from .rounding import rounding
 
 Ints = NDArray[np.int64]
 
 MOST_VALUES = 100_000
-"""Values of a small problem, at most: these take 0.2 s here, and 0.05 s in compiled code (`qmdp.COMPILED_FOR`)."""
+"""Values of a small problem, at most: these take 0.2 s here, and 0.06 s in compiled code (`qmdp.COMPILED_FOR`)."""
+
+MOST_TOGETHER = 1_500_000
+"""Values of the problems of all people, at most; from there on, compiling takes less time than it saves."""
 
 PRECISE = 1e-6
 """Largest error of any value, in cost units. A smaller one takes few more steps."""
@@ -39,9 +44,10 @@ FEW_CHANGES = 1e-3
 FEW_BACKUPS = 50  # after which equations are solved rarely; ten are enough almost everywhere
 
 
-def is_small(values: int) -> bool:
-    """Return whether a problem with so many values, H * T for each state, is solved in numpy."""
-    return values <= MOST_VALUES
+def is_small(pomdp: AssistPOMDP) -> bool:
+    """Return whether a problem, with H * T values for each state, is solved in numpy. Its size alone decides."""
+    values = pomdp.prior.size * len(pomdp.ends)
+    return values <= MOST_VALUES and values * pomdp.alike <= MOST_TOGETHER
 
 
 @dataclass(frozen=True)
@@ -129,6 +135,11 @@ class SparseBackup:
         matrix = csr_array((data, column, rows), shape=(reward.size, types * n * thetas))
         return cls(shape, x, r, np.searchsorted(x, np.arange(n)), matrix, reward.ravel(), (h, pair))
 
+    @classmethod
+    def of_small(cls, pomdp: AssistPOMDP) -> SparseBackup | None:
+        """Return the backup of a problem if it is small; None if it is large."""
+        return cls.of(ProblemArrays.of(pomdp)) if is_small(pomdp) else None
+
     def q_values(self, value: Floats) -> Floats:
         """Return the Q-value of each pair, shape (H, P, T), from values of all states, shape (H, n, T)."""
         q = self.matrix @ value.ravel()
@@ -170,13 +181,12 @@ def _influence(m: ProblemArrays, x: Ints, r: Ints) -> tuple[Floats, Floats]:
     return one, other
 
 
-def q_table(value: Floats, states: Ints, m: ProblemArrays) -> Floats:
+def q_table(value: Floats, states: Ints, backup: SparseBackup, robots: int) -> Floats:
     """Return the Q-values in some states, shape (n, R, H, T), from values, shape (n, H, T); minus infinity in padding.
 
-    Those in other states are 0.
+    Those in other states are 0. `robots` is R, the largest number of robot actions.
     """
-    backup = SparseBackup.of(m)
-    q = np.zeros((len(value), m.suggested.shape[1], *value.shape[1:]))
+    q = np.zeros((len(value), robots, *value.shape[1:]))
     q[states] = -np.inf
     asked = np.isin(backup.x, states)
     q[backup.x[asked], backup.robot[asked]] = backup.q_values(value.swapaxes(0, 1)).swapaxes(0, 1)[asked]
@@ -187,6 +197,7 @@ def improve_small(
     value: Floats,
     robot: Ints,
     m: ProblemArrays,
+    backup: SparseBackup,
     tolerance: float,
     backups: int,
     stop: Callable[[], bool],
@@ -198,9 +209,7 @@ def improve_small(
 
     Values are never less precise than `PRECISE`, so that they hardly depend on the tolerance.
     """
-    if stop():
-        return False
-    backup, least, tolerance = SparseBackup.of(m), rounding(m.targets.shape[1]), min(tolerance, PRECISE)
+    least, tolerance = rounding(m.targets.shape[1]), min(tolerance, PRECISE)
     active = ~m.final[m.goal_of][:, :, None]
     horizon = m.gamma / (1 - m.gamma)
     outwards, better = (-horizon, np.maximum) if below else (horizon, np.minimum)

@@ -430,6 +430,7 @@ def _enumerated(
     policies: list[Policy] = []
     for human in known:
         ends.check(f"setting up {len(policies)} of {len(known)} people's POMDPs; expected fewer people, or more time")
-        policies.append(LazyPolicy(Assumptions.of(setting, human, prior).problem(choices), solver))
+        problem = replace(Assumptions.of(setting, human, prior).problem(choices), alike=len(known))
+        policies.append(LazyPolicy(problem, solver))
         advance(1)
     return policies

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_unknown_goals import TASKS
 
+from assist import Pool
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel
@@ -193,6 +194,13 @@ def test_both_forms_have_the_same_values(several: bool, rule: TrustRule | None, 
             found.append((policy.value_mdp, policy.q_mdp, expected, evaluate(pomdp, robot, tolerance=1e-9)))
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+
+
+def test_the_size_of_all_peoples_problems_decides() -> None:
+    few, many = (Pool.sample(kit("tiny"), size, seed=0).policies[0].pomdp for size in (2, 1500))
+    assert sparse_iteration.is_small(few)
+    assert not sparse_iteration.is_small(many)
+    np.testing.assert_allclose(qmdp(few).q_mdp, qmdp(many).q_mdp, rtol=0, atol=1e-9)
 
 
 def test_a_whole_task_has_the_values_of_plain_value_iteration_from_zero(tiny_choices: Choices) -> None:
