@@ -3,7 +3,7 @@
 
 /** @type {any} */ (window).SwaggerUIBundle({ url: "openapi.json", dom_id: "#swagger", deepLinking: false });
 
-function name() {
+function nameControls() {
   for (const one of document.querySelectorAll("[data-param-name] :is(input, select, textarea)")) {
     one.setAttribute("aria-label", one.closest("[data-param-name]")?.getAttribute("data-param-name") ?? "");
   }
@@ -12,4 +12,4 @@ function name() {
   for (const one of document.querySelectorAll("table[role=region]")) one.setAttribute("aria-label", one.id);
 }
 
-new MutationObserver(name).observe(document.body, { childList: true, subtree: true });
+new MutationObserver(nameControls).observe(document.body, { childList: true, subtree: true });
