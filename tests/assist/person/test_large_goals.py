@@ -39,10 +39,13 @@ def pools(goals: Goals, setting: Setting, region: int = EVERYTHING) -> tuple[Poo
     )
 
 
+SLOW = {("whittle", "people"), ("none", "model"), ("priority", "people")}
+
+
 @pytest.mark.parametrize(
     ("policy", "world"),
     [
-        pytest.param(policy, world, marks=[pytest.mark.slow] * ((policy, world) == ("whittle", "people")))
+        pytest.param(policy, world, marks=[pytest.mark.slow] * ((policy, world) in SLOW))
         for policy in ("none", "attention", "priority", "whittle")
         for world in ("people", "model")
     ],

@@ -67,6 +67,8 @@ CHANGED = {
         "(platform-free)\n    (con", "(and (platform-free))\n    (con", "(and (platform-free))", "one by one",
     ),
     "maximising": ("(:goal", "(:metric maximize (total-cost))\n  (:goal", "(:metric", "maximize is not supported"),
+    "a metric without a direction": ("(:goal", "(:metric)\n  (:goal", "(:metric)", "(:metric minimize"),
+    "a mistyped direction": ("(:goal", "(:metric minimise (total-cost))\n  (:goal", "(:metric", "mean 'minimize'"),
     "a variable in the goal": (
         "(in-slot wrench slot-2)", "(in-slot wrench ?s)", "(in-slot wrench ?s)", "unknown variable '?s'",
     ),
