@@ -134,7 +134,8 @@ async def erase(
 @router.post("/api/reload", tags=["team"], response_model=Reloaded, responses=refusals(403, 409, 422, 503, 507))
 async def reload(_: Operator, service: Desk) -> Any:
     """Read the service's configuration again, and follow changed distances and people's tasks."""
-    return {"changes": await service.reload()}
+    found = await service.reload()
+    return {"changes": len(found.events), "ignored": found.ignored}
 
 
 @router.get(

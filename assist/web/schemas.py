@@ -40,6 +40,7 @@ class Reloaded(BaseModel):
     """What reading the configuration again has changed."""
 
     changes: int = Field(description="Number of changes: of distances, and of people's tasks.")
+    ignored: list[str] = Field(description="Changed fields of the file for which a restart is needed.")
 
 
 class Me(BaseModel):

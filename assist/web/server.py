@@ -38,7 +38,7 @@ from ..texts.refusals import InapplicableError, Refusal
 from . import connections
 from .app import END_STREAMS, make_app
 from .request_limits import Networks
-from .service import Bridge, Service
+from .service import Bridge, ReadAgain, Service
 from .tokens import AccessTokens
 
 WAITING = 1024
@@ -294,7 +294,7 @@ Beside = Callable[[str], Bridge]
 
 def serve(
     plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None = None,
-    changed_settings: Callable[[], list[TeamEvent]] | None = None,
+    changed_settings: Callable[[], ReadAgain] | None = None,
 ) -> None:  # fmt: skip
     """Serve a session until a signal ends it.
 
@@ -316,7 +316,7 @@ def serve(
 
 async def _serve(
     plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None,
-    changed_settings: Callable[[], list[TeamEvent]] | None,
+    changed_settings: Callable[[], ReadAgain] | None,
 ) -> None:  # fmt: skip
     access = AccessTokens.kept(plan.folder / "secret", plan.public_url or address(listening))
     service = Service(session, access, tick=plan.tick, texts=plan.texts)
@@ -345,7 +345,7 @@ async def _reload(service: Service) -> None:
     """Reload the configuration; log the outcome, and nothing but that if it is faulty."""
     log = logging.getLogger(__name__)
     try:
-        log.info("reloaded", extra={"changes": await service.reload()})
+        log.info("reloaded", extra={"changes": len((await service.reload()).events)})
     except Exception as error:  # noqa: BLE001 a faulty file is no reason to end
         log.error("the configuration is not reloaded: %s", error)
 

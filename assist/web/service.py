@@ -65,6 +65,22 @@ class Bridge(Protocol):
 
 
 @dataclass(frozen=True)
+class ReadAgain:
+    """What follows from a configuration that was read again.
+
+    Attributes
+    ----------
+    events : list of TeamEvent
+        By which the session follows it.
+    ignored : list of str
+        Changed fields that need a restart.
+    """
+
+    events: list[TeamEvent]
+    ignored: list[str]
+
+
+@dataclass(frozen=True)
 class Erasure:
     """A request to erase what is recorded of a person; arguments as in `Session.erase`."""
 
@@ -126,7 +142,7 @@ class Service:
         self.visited = asyncio.Event()
         self.simulated: frozenset[str] = frozenset()
         self.measures, self.bridges = Measures(), dict[str, Bridge]()
-        self.changed_settings: Callable[[], list[TeamEvent]] | None = None
+        self.changed_settings: Callable[[], ReadAgain] | None = None
         self._entries: dict[str, bytes] = {}
         self._outdated = Counter[str]()  # how often a person's entry has become outdated
         self._watchers: dict[str, set[Watcher]] = {}
@@ -296,8 +312,8 @@ class Service:
             found.append("the service does not accept reports")
         return found
 
-    async def reload(self) -> int:
-        """Read the configuration again, and change distances and people's tasks accordingly; return how many changes.
+    async def reload(self) -> ReadAgain:
+        """Read the configuration again, and change distances and people's tasks accordingly; return what it says.
 
         Raises
         ------
@@ -308,10 +324,13 @@ class Service:
         """
         if self.changed_settings is None:
             raise InapplicableError("other", why="there is nothing to reload; expected a service started with --config")
-        events = await asyncio.to_thread(self.changed_settings)
-        for event in events:
+        found = await asyncio.to_thread(self.changed_settings)
+        for event in found.events:
             await self.report(event)
-        return len(events)
+        if found.ignored:
+            changed = ", ".join(found.ignored)
+            logging.getLogger(__name__).warning("a restart is needed for what else has changed: %s", changed)
+        return found
 
     async def pass_on(self, event: Event) -> None:
         """Record an event that the clock causes. It is dropped if it is not possible now, or cannot be saved now."""

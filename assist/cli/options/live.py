@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ...live.session import Session
     from ...people.goals import Goals
     from ...web.server import ServedTeam
-    from ...web.service import Bridge
+    from ...web.service import Bridge, ReadAgain
 
 
 def live_options(command: Command) -> Command:
@@ -118,8 +118,8 @@ def plan_of(
 
 def changed_settings(
     config: Path, context: click.Context, session: Session, setting: LiveSetting, given: Given[LiveSetting]
-) -> Callable[[], list[TeamEvent]]:
-    """Return a function that reads a configuration again, and returns the events by which a session follows it.
+) -> Callable[[], ReadAgain]:
+    """Return a function that reads a configuration again, and returns what follows from it for a session.
 
     It raises ValueError if the configuration is faulty. Distances that the environment or the command line sets are
     read again from the same file.
@@ -127,12 +127,13 @@ def changed_settings(
     import numpy as np
 
     from ...live.events import Began, Rearranged
+    from ...web.service import ReadAgain
 
-    command = context.command
+    command, at_first = context.command, _fields(config)
     before = None if setting.distances is None else Path(setting.distances)
     fixed = given.is_fixed("distances")
 
-    def read() -> list[TeamEvent]:
+    def read() -> ReadAgain:
         try:
             settings = read_config(config, command.params)
             again = Given(LiveSetting)
@@ -152,9 +153,21 @@ def changed_settings(
             except (OSError, TypeError, ValueError) as error:
                 raise ValueError(f"distances {file}: {error}") from None
         chosen = settings.get("tasks", {}).items()
-        return events + [Began(person=name, task=task) for name, task in chosen if tasks[name] != task]
+        events += [Began(person=name, task=task) for name, task in chosen if tasks[name] != task]
+        present = _fields(config)
+        changed = [one for one in {**at_first, **present} if at_first.get(one) != present.get(one)]
+        return ReadAgain(events, changed)
 
     return read
+
+
+def _fields(config: Path) -> dict[str, Any]:
+    """Return the fields of a configuration that only a restart changes, each by its place."""
+    from ...declare import tables as toml
+
+    content = toml.load(config)
+    inner = {f"setting.{name}": value for name, value in content.pop("setting", {}).items()}
+    return {name: value for name, value in {**content, **inner}.items() if name not in ("tasks", "setting.distances")}
 
 
 def _require_known(chosen: Mapping[str, str], people: Collection[str], tasks: Collection[str]) -> None:

@@ -149,7 +149,9 @@ person-1 = "tiny"
         while service.ask("GET", "/api/people/person-1").json()["task"] != "own":
             assert time.monotonic() < until
             time.sleep(0.05)
-        assert service.ask("POST", "/api/reload").json() == {"changes": 0}
+        assert service.ask("POST", "/api/reload").json() == {"changes": 0, "ignored": []}
+        file.write_text(config.replace("c_suggest = 0.1", "c_suggest = 0.3").replace('"tiny"\n', '"own"\n'))
+        assert service.ask("POST", "/api/reload").json() == {"changes": 0, "ignored": ["setting.c_suggest"]}
         assert service.ask("POST", "/api/reload", "person-1").status_code == 403
         file.write_text(config + "person-9 = 'tiny'")
         refused = service.ask("POST", "/api/reload")
@@ -157,8 +159,12 @@ person-1 = "tiny"
         code, said = service.end(signal.SIGTERM)
         assert code == 0
     lines = [json.loads(line) for line in said.splitlines()]
-    assert {line["logger"] for line in lines} == {"assist.cli", "assist.web.server", "assist.web.reports"}
+    assert {line["logger"] for line in lines} == {
+        "assist.cli", "assist.web.server", "assist.web.service", "assist.web.reports",
+    }  # fmt: skip
     assert any(line["message"] == "reloaded" and line["changes"] == 2 for line in lines)
+    restart = "a restart is needed for what else has changed: setting.c_suggest"
+    assert [line["message"] for line in lines if line["logger"] == "assist.web.service"] == [restart]
     reports = [(line["event"], line["outcome"]) for line in lines if line["message"] == "report"]
     assert ("rearranged", "recorded") in reports
     assert "person-1" not in said
