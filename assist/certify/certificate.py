@@ -52,6 +52,15 @@ class Certificate(Result):
     slack_percent: float
     episodes: int
 
+    def __repr__(self) -> str:
+        gap = (
+            "at the bound, within the error"
+            if self.within_error
+            else f"at most {self.gap_percent:.2f} % below the best"
+        )
+        value = f"{self.value:.3f} ± {self.value_stderr:.3f}"
+        return f"<{self.policy}: value {value} over {self.episodes:,} episodes, {gap} (upper bound {self.upper:.3f})>"
+
     @property
     def within_error(self) -> bool:
         """Whether the mean is above the bound, but not by more than three of its standard errors."""

@@ -88,7 +88,7 @@ class TeamBound(Result):
     upper_seen : float
         The bound with observed beta and theta, at the same prices.
     price : float array, shape (W,)
-        lambda_t, in cost units; empty if the bound uses no prices.
+        lambda_t, in cost units; empty if attention is free in the bound, which is then looser for several people.
     seconds : float
     proven : float
         The bound that holds with certainty.
@@ -110,6 +110,11 @@ class TeamBound(Result):
     proven: float
     sampled: SampledBound | None = None
     on_actions: Floats | None = None
+
+    def __repr__(self) -> str:
+        how = "prices of attention" if len(self.price) else "free attention"
+        upper = f"upper bound {self.upper:.3f} on the value of every policy"
+        return f"<{upper} for {len(self.team)} {'people' if len(self.team) > 1 else 'person'}, with {how}>"
 
     def records(self) -> list[dict[str, Any]]:
         """Return one row: the number of people, the bound in cost units, its slack, and the seconds."""

@@ -77,7 +77,10 @@ def bound(
         _show_alone(found.upper, len(found.team), len(found.team), as_json=as_json)
         return
     best = max(certificates, key=lambda certificate: certificate.value)
+    sampled = samples and len(found.team) > len(made.pool.setting.robots)
     if as_json:
+        if sampled and found.sampled is None:
+            show_samples(found, err=True)
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), **asdict(best),
             **({"goals": dict(goals.prior)} if goals else {}),
@@ -104,7 +107,7 @@ def bound(
                 f"{c.policy}: the mean is more than three standard errors above the bound, which no policy's value "
                 "exceeds; more --value-episodes"
             )
-    if samples and len(found.team) > len(made.pool.setting.robots):
+    if sampled:
         show_samples(found)
 
 

@@ -101,6 +101,13 @@ def test_what_was_learned_is_a_result_too(learned: dict[str, Any], name: str) ->
     test_a_result_is_a_line_a_table_and_a_frame_and_survives_pickling(learned, name)
 
 
+def test_a_bound_and_a_certificate_say_what_they_prove(results: dict[str, Any]) -> None:
+    bound, none = results["bound"], results["certificate"]
+    proves = f"upper bound {bound.upper:.3f} on the value of every policy"
+    assert repr(bound) == f"<{proves} for 2 people, with free attention>"
+    assert repr(none).startswith(f"<none: value {none.value:.3f} ± {none.value_stderr:.3f} over 10 episodes, at most ")
+
+
 def test_frames_of_people_and_goals_have_their_names(learned: dict[str, Any]) -> None:
     frame = learned["people"].to_frame().set_index("person")
     assert frame.index.tolist() == ["ann", "bob"]

@@ -45,13 +45,13 @@ def show_bounds(record: dict[str, Any]) -> None:
     )
 
 
-def show_samples(found: TeamBound) -> None:
-    """Print what the sample paths add to a team's bound."""
+def show_samples(found: TeamBound, *, err: bool = False) -> None:
+    """Print what the sample paths add to a team's bound; on stderr with `err`."""
     from ...certify.information_relaxation.confidence import CONFIDENCE, FEWEST
 
     sampled = found.sampled
     if sampled is None:
-        click.echo("there was too little time for a bound from sample paths (--time-limit)")
+        click.echo("there was too little time for a bound from sample paths (--time-limit)", err=err)
     elif not sampled.enough:
         click.echo(
             f"{sampled.paths} sample paths are too few for a bound; {FEWEST} are needed (--samples, --time-limit)"
