@@ -21,7 +21,7 @@ def relaxed_value(bound: TeamBound, *, episodes: int = 20_000, seed: Seed = 0) -
     horizon, at most a millionth of the dearest step for each person, are left out.
     """
     for policy in bound.pool.policies:
-        policy.require_enumerated("relaxed_value")
+        policy.require_enumerated("relaxed_value", "what comes beyond a truncated one is bounded, and not simulated")
     episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
     gamma = bound.pool.setting.gamma
     price = bound.price if bound.on_actions is None else np.vstack([bound.price, bound.on_actions])

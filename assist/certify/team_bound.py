@@ -232,7 +232,9 @@ def upper_bound(
         pool.choices(members[0]).require_one_goal("the bound from sample paths")
     if pool.setting.neighbourhood(len(members)) is not None:
         for model in set(pool.model[list(members)].tolist()):
-            pool.policies[model].require_enumerated("a bound with neighbours who see each other")
+            pool.policies[model].require_enumerated(
+                "a bound with neighbours who see each other", "what they come to see may move theta in any state"
+            )
         if paths:
             raise ValueError(f"paths {paths}: expected 0, as sample paths do not have what people see of neighbours")
     travel = travel or pool.setting.travel(len(members))

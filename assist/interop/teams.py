@@ -107,7 +107,7 @@ class WholeTasks:
 
     def __init__(self, pool: Pool, world: World, shape: tuple[int, int]) -> None:
         for policy in pool.policies:
-            policy.require_enumerated("pool")
+            policy.require_enumerated("pool", "an environment has a fixed number of states and actions")
         self.policies, self._of_people = pool.policies, world == "people"
         self.groups = {number: ModelGroup(pool, number, world) for number in range(len(pool.policies))}
         self._first = np.sum([group.row for group in self.groups.values()], axis=0)

@@ -99,8 +99,8 @@ class Policy:
         """The largest cost of an action or a wait, in cost units."""
         return float(self.pomdp.model.choices.costs.max())
 
-    def require_enumerated(self, what: str) -> None:
-        """Check that the values of all states are kept. If not, the `ValueError` says that `what` needs them."""
+    def require_enumerated(self, what: str, why: str) -> None:
+        """Check that all states are enumerated. If not, the `ValueError` says that `what` needs them, and `why`."""
 
     def rows(self, places: Ints, holder: object = None) -> Ints:
         """Return the row of each place where people are, shape (N,), and compute what is not known of it yet.

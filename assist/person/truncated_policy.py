@@ -177,11 +177,10 @@ class TruncatedPolicy(Policy):
         """The largest cost of an action or a wait, in cost units."""
         return float(self.task.task.action_costs.max(initial=1.0))
 
-    def require_enumerated(self, what: str) -> None:
-        """Raise a `ValueError`, since values of all states are not kept."""
-        raise ValueError(
-            f"{what}: expected an enumerated task, and this one is too large: it has {len(self.task):,} states or more"
-        )
+    def require_enumerated(self, what: str, why: str) -> None:
+        """Raise a `ValueError`, since not all states are enumerated."""
+        size = f"{len(self.task):,} states or more"
+        raise ValueError(f"{what}: expected an enumerated task, as {why}; this one is too large, with {size}")
 
     @cached_property
     def growing(self) -> GrowingProblem:

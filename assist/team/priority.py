@@ -191,7 +191,9 @@ class Priority:
         steps = round(mean_steps)
         each = np.asarray(price, dtype=float)
         for policy in policies if each.ndim else ():
-            policy.require_enumerated(f"prices of {each.size} steps")
+            policy.require_enumerated(
+                f"prices of {each.size} steps", "these need all states that are reachable by a step"
+            )
 
         def presence(policy: Policy) -> SolvedSubproblem:
             free = AttentionSubproblem.of(policy.pomdp, entry, steps, longest=longest)

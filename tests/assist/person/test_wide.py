@@ -97,9 +97,9 @@ def test_policies_answer_without_being_solved(tiny: Table) -> None:
     assert (whole.size, part.size) == (len(tiny), np.inf)
     assert whole.cheapest == part.cheapest == 1
     assert whole.task.initial == part.task.initial
-    whole.require_enumerated("this")
+    whole.require_enumerated("this", "that is so")
     with pytest.raises(ValueError, match="this: expected an enumerated task"):
-        part.require_enumerated("this")
+        part.require_enumerated("this", "that is so")
     assert not whole._solved  # type: ignore[attr-defined]
     assert not part.solved  # type: ignore[attr-defined]
     assert "region" not in vars(part)
