@@ -102,10 +102,13 @@ def expected(table: Floats, robot_actions: NDArray[np.int64], x: NDArray[np.int6
 
 def _expected_of_few(table: Floats, robot_actions: NDArray[np.int64], x: NDArray[np.int64], belief: Floats) -> Floats:
     """Return what `expected` does, in numpy, for small problems."""
-    found = np.full((len(x), table.shape[1]), -np.inf)
+    found, count = np.full((len(x), table.shape[1]), -np.inf), robot_actions[x]
+    rows, cells = table.reshape(*table.shape[:2], -1), belief.reshape(len(x), -1)
     for r in range(table.shape[1]):
-        own = np.flatnonzero(robot_actions[x] > r)
-        found[own, r] = (table[x[own], r] * belief[own]).sum(axis=(1, 2))
+        own = np.flatnonzero(count > r)
+        terms = rows[x[own], r]
+        terms *= cells if len(own) == len(x) else cells[own]  # large copies take longer than the sums
+        found[own, r] = terms.sum(axis=1)
     return found
 
 
