@@ -32,7 +32,7 @@ from .maximum_likelihood import maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
 from .observations import Ints
 from .person_estimate import UNCHECKED, PersonEstimate, nothing_known
-from .population import ETAS, Margin, PopulationFit, fit_population, population_of
+from .population import Margin, PopulationFit, fit_population, population_of
 
 Model: TypeAlias = Literal["misconceptions", "terms"] | Mapping[str, Term] | ChoiceModel
 """What people's choices depend on besides cost-to-go: see `fit`."""
@@ -121,8 +121,7 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
             return replace(population_of(self.hierarchy), utility_scale=self.method.utility_scale)
         assert callable(progress)
         observations = [one.observations for one in self.people]
-        advance = adding(progress, "fitting the population", ETAS)
-        return fit_population(observations, self.method, family=family, progress=advance)
+        return fit_population(observations, self.method, family=family, progress=progress)
 
     def population(self, *, family: str | None = None) -> Population:
         """Return a population like these people, from which others can be drawn.

@@ -5,12 +5,14 @@ A model's parameters are those of largest likelihood for people together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.decision import Floats
 from ..people.terms import TERMS
@@ -23,11 +25,13 @@ from .observations import Observations
 
 BOLTZMANN = "boltzmann"
 ALL_TERMS = "terms"
+COMPARING = "comparing models"
 
 
+@shows_progress
 def compare_models(
     people: Evidence | Sequence[Observations], method: Method | None = None, *, folds: int = FOLDS,
-    time_limit: float | None = None, progress: Callable[[int], None] | None = None,
+    time_limit: float | None = None, progress: Wanted = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of choice models by their predictions for people to whom they were not fitted.
 
@@ -41,14 +45,15 @@ def compare_models(
         Number of groups of people, each of which is held out once.
     time_limit : float, optional
         Seconds after which no further model is begun; those without a result are in `Comparison.left_out`.
-    progress : callable, optional
-        Called with the number of models that have been finished since the last call.
+    progress : callable or bool, optional
+        Receives progress reports, as `planner.system.progress` describes: the number of models that have been compared.
 
     Raises
     ------
     LogError
         There are fewer than two people.
     """
+    assert callable(progress)
     method = method or Method()
     likelihood = Likelihood.of(observations_of(people, TERMS), method)
     steps = likelihood.steps
@@ -58,7 +63,7 @@ def compare_models(
     fits = {model: partial(_fit_to, likelihood.with_terms(chosen), known) for model, chosen in sets.items()}
     return compared(
         fits, steps.people, np.bincount(steps.person), BOLTZMANN, fold=folds_of(len(steps.people), folds),
-        level=method.level, time_limit=time_limit, progress=progress,
+        level=method.level, time_limit=time_limit, progress=adding(progress, COMPARING, len(fits)),
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ the distribution; `Margin.recorded` are those of the sample.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -25,6 +25,7 @@ from scipy.optimize import minimize
 from scipy.special import logit, ndtr
 
 from planner.system.limits import Deadline
+from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.results import Result
 
 from ..declare.declared import DeclarationError, plain, spelt
@@ -268,13 +269,14 @@ def rate_of(record: dict[str, Any]) -> dict[str, float]:
     return {name: number(name, value) for name, value in found.items()}
 
 
+@shows_progress
 def fit_population(
     observations: Evidence | Sequence[Observations],
     method: Method | None = None,
     *,
     family: str | None = None,
     time_limit: float | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Wanted = None,
 ) -> PopulationFit:
     """Return the estimated distribution of beta and theta over people.
 
@@ -288,9 +290,10 @@ def fit_population(
         "histogram", or one of beta's families; by default the family with the largest likelihood.
     time_limit : float, optional
         Seconds after which no further rate or family is tried, and a `LimitError` says how far the search came.
-    progress : callable, optional
-        Called with the number of the `ETAS` rates that have been tried since the last call.
+    progress : callable or bool, optional
+        Receives progress reports, as `planner.system.progress` describes: the number of rates tried.
     """
+    assert callable(progress)
     method, observations, ends = method or Method(), observations_of(observations), Deadline.after(time_limit)
     if not observations:
         raise ValueError("a population needs people; there are no observations")
@@ -315,13 +318,13 @@ def fit_population(
     known = told
     if eta is None:
         rates = np.linspace(0.0, 1.0, ETAS)
+        advance = adding(progress, "fitting the population", ETAS)
         scores = list[float]()
         for rate in rates:
             ends.check(f"{len(scores)} of {ETAS} rates of trust")
             table, top = likelihoods(float(rate))
             scores.append(_free(table, 30)[1] + top)
-            if progress is not None:
-                progress(1)
+            advance(1)
         eta = _summit(rates, np.array(scores))
         known = max(scores) - min(scores) > largest_fall(method.level)
     table, top = likelihoods(eta)

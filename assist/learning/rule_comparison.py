@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.decision import Floats
 from .advice_fit import COMPARED, base_of, fit_to, fold_of
@@ -29,10 +31,11 @@ Rules: TypeAlias = Mapping[str, Any]
 """Rules by name: a `RuleFamily` each or, of advice, a `Rule` or None."""
 
 
+@shows_progress
 def compare_rules(
     people: Evidence | Sequence[Observations] | AdviceLog, method: Method | None = None, *,
     rules: Rules | None = None, reference: str = REFERENCE, folds: int = FOLDS, carry: bool = True,
-    time_limit: float | None = None, progress: Callable[[int], None] | None = None,
+    time_limit: float | None = None, progress: Wanted = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of trust rules by the log probability of the choices of held-out people.
 
@@ -55,8 +58,8 @@ def compare_rules(
         As for `fit_influence`.
     time_limit : float, optional
         Seconds after which no further model is begun; those without a result are in `Comparison.left_out`.
-    progress : callable, optional
-        Called with how many rules have been finished since the last call.
+    progress : callable or bool, optional
+        Receives progress reports, as `planner.system.progress` describes: the number of rules that have been compared.
 
     Raises
     ------
@@ -65,9 +68,12 @@ def compare_rules(
     ValueError
         There are fewer than two folds, or the reference is missing, or the likelihood is not finite.
     """
+    assert callable(progress)
     method = method or Method()
     people = people if isinstance(people, AdviceLog) else observations_of(people)
-    rules = rules_of(people, method) if rules is None else rules
+    if rules is None:
+        usual: Rules = COMPARED if isinstance(people, AdviceLog) else families(method)
+        rules = usual
     fits: dict[str, FitTo[Any]]
     if reference not in rules:
         raise ValueError(f"rules {', '.join(rules)}: expected '{reference}' among them")
@@ -84,13 +90,9 @@ def compare_rules(
         names, choices = log.people, log.counts
         fits = {name: partial(_fit_to, log, family, carry) for name, family in rules.items()}
     return compared(
-        fits, names, choices, reference, fold=fold, level=method.level, time_limit=time_limit, progress=progress
-    )
-
-
-def rules_of(people: Sequence[Observations] | AdviceLog, method: Method) -> Rules:
-    """Return the rules that are compared unless others are given, by name."""
-    return COMPARED if isinstance(people, AdviceLog) else families(method)
+        fits, names, choices, reference, fold=fold, level=method.level, time_limit=time_limit,
+        progress=adding(progress, "comparing trust rules", len(fits)),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import click
 from rich.table import Table
 
 from planner.system import files
-from planner.system.progress import progress_bar
+from planner.system.progress import stages
 
 from ..terminal.console import ExitCode, fail, print_json, print_table
 
@@ -29,8 +29,8 @@ def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
     from ...people.terms import TERMS
 
     try:
-        with progress_bar("comparing models", len(TERMS) + 2) as advance:
-            return compare_models(seen.observations(TERMS), method, folds=folds, progress=advance)
+        with stages() as show:
+            return compare_models(seen.observations(TERMS), method, folds=folds, progress=show)
     except LogError as error:
         fail(f"{seen.log.name}: {error}", ExitCode.FAILED)
 
@@ -39,12 +39,11 @@ def rules_compared(
     people: Sequence[Observations] | AdviceLog, name: str, method: Method, folds: int, *, carry: bool
 ) -> Comparison:
     """Compare trust rules on the people of a file with this name. Expected errors end the command in one line."""
-    from ...learning.rule_comparison import compare_rules, rules_of
+    from ...learning.rule_comparison import compare_rules
 
-    rules = rules_of(people, method)
     try:
-        with progress_bar("comparing trust rules", len(rules)) as advance:
-            return compare_rules(people, method, rules=rules, folds=folds, carry=carry, progress=advance)
+        with stages() as show:
+            return compare_rules(people, method, folds=folds, carry=carry, progress=show)
     except ValueError as error:
         fail(f"{name}: {error}", ExitCode.FAILED)
 

@@ -214,7 +214,9 @@ def test_the_right_rule_is_chosen() -> None:
 def test_held_out_people_are_predicted_from_the_others() -> None:
     observations = seen(recorded(constant(), 6, 10, 9))
     rules = {"constant": RuleFamily.of(constant()), "own": RuleFamily.of(Doubling())}
-    compared = compare_rules(observations, Method(), rules=rules, folds=3)
+    stages = list[tuple[str, int, int | None]]()
+    compared = compare_rules(observations, Method(), rules=rules, folds=3, progress=lambda *stage: stages.append(stage))
+    assert stages == [("comparing trust rules", done, 2) for done in range(3)]
     log, total = LikelihoodTable.of(observations, Method()), 0.0
     logs = log.log_likelihood(constant())
     for fold in range(3):

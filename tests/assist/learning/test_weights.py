@@ -201,7 +201,10 @@ def test_whoever_is_predicted_was_not_seen() -> None:
 
 
 def test_terms_predict_people_better_whose_choices_follow_them() -> None:
-    found = compare_models(observed(paper(), list(rows()), TERMS), folds=4)
+    stages = list[tuple[str, int, int | None]]()
+    people = observed(paper(), list(rows()), TERMS)
+    found = compare_models(people, folds=4, progress=lambda *stage: stages.append(stage))
+    assert stages == [("comparing models", done, len(TERMS) + 2) for done in range(len(TERMS) + 3)]
     document = found.as_dict()
     assert [row["model"] for row in document["models"]] == ["boltzmann", *TERMS, "terms"]
     for row in document["models"]:
