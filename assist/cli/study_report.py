@@ -23,7 +23,7 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     """
     from planner.system.errors import InputFileError
 
-    from ..reports.userstudy_report import headline, require, write_report
+    from ..reports.userstudy_report import headline, notes, require, write_report
     from ..userstudy.session import REPORT
 
     require()
@@ -40,4 +40,6 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     for row in rows:
         table.add_row(*row)
     print_table(table)
+    for text in notes(summary):
+        click.echo(text.replace("**", ""))
     click.echo(f"the report is {out / 'report.md'}")

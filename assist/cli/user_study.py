@@ -179,11 +179,12 @@ def _report(folder: Path) -> None:
     """Write the export and the report of a rehearsal."""
     from planner.system.files import atomic
 
-    from ..reports.userstudy_report import write_report
+    from ..reports.userstudy_report import notes, write_report
     from ..userstudy.export import archive
     from ..userstudy.session import EXPORT, REPORT
 
     with atomic(folder / EXPORT) as path:
         path.write_bytes(archive(folder))
-    write_report(folder, folder / REPORT)
+    for text in notes(write_report(folder, folder / REPORT)):
+        note(text.replace("**", ""))
     click.echo(f"export: {folder / EXPORT}; report: {folder / REPORT / 'report.md'}", err=True)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from planner.system.results import markdown_table
 
 from ..study.study import Contrast, Study
-from .study_summary import BASELINES
+from ..team.policy_names import BASELINES
 from .wording import Record, beside, interval, named, prior, sign
 
 

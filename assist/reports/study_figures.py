@@ -129,15 +129,20 @@ def _points(found: Found) -> Iterator[Record]:
             yield row
 
 
+def watched(study: Study) -> tuple[str, int]:
+    """Return the instance and the team size of the episode in the last figure."""
+    condition = study.conditions[0]
+    return condition.instances[0], min(condition.humans, key=lambda k: abs(k - 3))  # panels that fit a page
+
+
 def _one_episode(found: Found) -> tuple[pd.DataFrame, Any]:
-    """Return the robot's beliefs in the episode of the first pool that has the most interventions."""
+    """Return the robot's beliefs in the episode of `watched` with the most interventions in the first pool."""
     import pandas as pd
 
     from ..simulation.belief_trace import beliefs_of_episode
 
-    study, condition = found.study, found.study.conditions[0]
-    humans = min(condition.humans, key=lambda k: abs(k - 3))  # panels that fit a page
-    instance = condition.instances[0]
+    study = found.study
+    instance, humans = watched(study)
     wanted = {**found.main, "instance": instance, "policy": study.focus, "humans": humans}
     own = rows_of(found.episodes, wanted)
     row = own[own["repeat"] == 0].sort_values("interventions", ascending=False, kind="stable").iloc[0]

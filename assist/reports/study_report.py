@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from importlib import metadata
 from pathlib import Path
 
 from planner.system.files import remove_unfinished
@@ -23,10 +24,11 @@ from ..plots import style
 from ..study.protocol import study_of
 from ..study.runner import load_study
 from ..study.study import OWN, Study, StudyPlan
+from ..team.policy_names import BASELINES
 from . import report_files, study_claims
 from .report_files import FIGURES, html_page, rendered, write_files
-from .study_figures import ReportFigure, of_kinds, of_whom, pictures
-from .study_summary import ARM, BASELINES, MEASURES, Found, average
+from .study_figures import ReportFigure, of_kinds, of_whom, pictures, watched
+from .study_summary import ARM, MEASURES, Found, average
 from .wording import Record, beside, interval, named, number, prior, sign, varying, with_deviation
 
 COLUMNS = {"population": "people", "setting": "setting", "prior": "robot's prior"}
@@ -136,7 +138,8 @@ def report_text(found: Found, summary: Record, pictures: dict[str, str]) -> str:
         "study_report.md.jinja",
         study=study, plan=sentences(StudyPlan), setting=plain(study.conditions[0].settings[0][1]), summary=summary,
         pictures=pictures,
-        FEW=FEW, OWN=OWN, whose=of_whom(found),
+        FEW=FEW, OWN=OWN, whose=of_whom(found), episode=watched(study),
+        people=dict(_people(study)), version=metadata.version("kitassist"),
         pools={c.name: min(study.repeats, c.repeats or study.repeats) for c in study.conditions},
         differing={name: len({group[name] for group in groups}) for name in varying(groups, COLUMNS)},
         headline=_headline(study, summary), effects=_effects(study, summary),
@@ -145,6 +148,14 @@ def report_text(found: Found, summary: Record, pictures: dict[str, str]) -> str:
         team_sizes=_team_sizes(found, summary), decline=_decline(summary), kinds=_kinds_of_people(found, summary),
         readings=partial(study_claims.readings, study), sensitivity=_sensitivity(found, summary),
     )  # fmt: skip
+
+
+def _people(study: Study) -> Iterator[tuple[str, str]]:
+    """Yield each population with the ranges of its people's parameters."""
+    for name, population in study.populations:
+        found = plain(population)
+        ranges = (f"{key} {found[key][0]:g} to {found[key][1]:g}" for key in ("beta", "theta", "sigma"))
+        yield name, ", ".join(ranges)
 
 
 def _groups(summary: Record) -> list[Record]:

@@ -18,7 +18,7 @@ from ..learning import statistics
 from ..learning.statistics import IntervalEstimate
 from ..person.settings import Setting
 from ..study.study import SCHEMA, Study
-from ..team.policy_names import POLICIES
+from ..team.policy_names import BASELINES, WEIGHING
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,12 +32,6 @@ MEASURES = {
 }  # fmt: skip
 ENDS = ("finished_percent", "cut_off")
 """How episodes end: percentage of people who finish, and share of episodes in which somebody does not."""
-
-BASELINES = ("none", "reactive")
-"""Policies that others are compared with."""
-
-WEIGHING = tuple(name for name in POLICIES if name not in BASELINES)
-"""Policies that weigh the cost of a suggestion."""
 
 # The reactive policy weighs no costs and has no belief, so that prices, discounting and the robot's model of people
 # change none of `MEASURES`. Every other field counts, new ones included.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +14,10 @@ from planner.system.errors import InputFileError
 from ..declare.declared import NOTHING, is_declared, names_of, plain, shown
 from ..learning.statistics import FEW
 from ..live.store import stored
+from ..person.settings import Setting
 from ..plots import style
 from ..plots import userstudy as draw
-from ..texts.catalogue import Catalogue
+from ..texts.catalogue import Catalogue, catalogue
 from ..userstudy.outcomes import COUNTED, Row
 from ..userstudy.plan import UserStudy, UserStudyPlan
 from ..userstudy.plan_file import read
@@ -178,8 +180,75 @@ def report_text(study: UserStudy, summary: dict[str, Any], pictures: dict[str, s
         number=partial(number, texts=texts), value=partial(value, texts=texts), where=partial(_where, texts=texts),
         difference_rows=partial(_difference_rows, texts=texts), rank_rows=partial(_rank_rows, texts=texts),
         spread_rows=list(_spread_rows(summary["measures"], texts)),
-        mixed_rows=list(_mixed_rows(summary["measures"], texts)), plan=list(_plan_rows(study)),
+        mixed_rows=list(_mixed_rows(summary["measures"], texts)),
+        plan=[*_setup_rows(study, summary["setup"]), *_plan_rows(study)], notes=list(notes(summary, texts)),
+        described=partial(_described, texts=texts), made=_made(summary["setup"], texts),
     )  # fmt: skip
+
+
+def notes(summary: dict[str, Any], texts: Catalogue | None = None) -> Iterator[str]:
+    """Yield what stands at the top of a report: whether more participants are planned, and who made no suggestion."""
+    texts, counts = texts or catalogue(), summary["participants"]
+    if counts["planned"] is not None and counts["completed"] < counts["planned"]:
+        yield texts.phrase("report.in_progress", done=counts["completed"], planned=counts["planned"])
+    for one in summary["without_suggestions"]:
+        costs = {name: _short(one[name], texts) for name in ("c_suggest", "c_move")}
+        yield texts.phrase("report.no_suggestions", **one | costs)
+
+
+def _described(cell: dict[str, Any], texts: Catalogue) -> str:
+    """Return the mean, standard deviation and range of answers, or a dash without any."""
+    if not cell["n"]:
+        return "-"
+    spread = {"mean": number(cell["mean"], texts=texts), "sd": number(cell["sd"], "-", texts)}
+    ends = {name: _short(cell[key], texts) for name, key in (("low", "min"), ("high", "max"))}
+    return texts.phrase("report.questionnaires.described", **spread, **ends)
+
+
+def _short(given: float, texts: Catalogue) -> str:
+    """Return a number with the digits that it has."""
+    return f"{given:g}".replace(".", texts.texts["decimal"])
+
+
+def _made(setup: dict[str, Any], texts: Catalogue) -> str:
+    """Return when the study took place, and the version that made the report; empty before anybody came."""
+    if setup["first"] is None:
+        return ""
+    first, last = (setup[end][:16].replace("T", " ") for end in ("first", "last"))
+    return texts.phrase("report.plan.made", first=first, last=last, version=metadata.version("kitassist"))
+
+
+def _setup_rows(study: UserStudy, setup: dict[str, Any]) -> Iterator[list[str]]:
+    """Yield tasks, conditions, robot, people and questionnaires, by the fields of the study's file."""
+    texts = study.catalogue
+    costs = ((one["task"], one["optimal_cost"]) for one in setup["tasks"])
+    yield [
+        "tasks",
+        ", ".join(
+            task if cost is None else texts.phrase("report.plan.optimal", task=task, cost=f"{cost:g}")
+            for task, cost in costs
+        ),
+    ]
+    common, usual = plain(study.setting), plain(Setting().for_real_people())
+    for one in study.conditions:
+        own = {name: value for name, value in plain(one.setting).items() if common.get(name) != value}
+        yield [f"conditions: {one.name}", shown({"policy": one.policy, "reasons": one.reasons, **own})]
+    yield ["reference", study.reference]
+    yield ["simulated", str(study.simulated)]
+    always = ("c_suggest", "c_move", "gamma", "knowledge")
+    yield [
+        "setting",
+        shown({name: value for name, value in common.items() if name in always or usual.get(name) != value}),
+    ]
+    people = plain(study.population)
+    yield ["population", shown({name: people[name] for name in ("beta", "theta", "sigma") if name in people})]
+    for asked in study.questionnaires:
+        items = ", ".join(item.name for item in asked.items)
+        where = {"conditions": list(asked.conditions)} if asked.conditions else {}
+        yield [
+            f"questionnaires: {asked.name}",
+            shown({"form": asked.form, "when": asked.when, **where, "items": items}),
+        ]
 
 
 def _plan_rows(study: UserStudy) -> Iterator[list[str]]:
@@ -208,6 +277,8 @@ def _difference_rows(measures: Iterable[dict[str, Any]], texts: Catalogue) -> It
 def _spread_rows(measures: Iterable[dict[str, Any]], texts: Catalogue) -> Iterator[list[str]]:
     """Yield the rows of a table with the standard deviation and the median of each measure in each condition."""
     for one in measures:
+        if one["shares"]:
+            continue  # their deviation follows from the share
         yield [one["label"]] + [
             f"{number(cell['sd'], '-', texts)} ({number(cell['median'], texts=texts)})" if cell["n"] else "-"
             for cell in one["cells"]

@@ -34,9 +34,10 @@ from ..learning.statistics import (
     signed_rank,
     wilson,
 )
+from ..team.policy_names import WEIGHING
 from ..userstudy.outcomes import COMPLETION, COUNTED, Outcome, Row
 from ..userstudy.plan import UserStudy
-from ..userstudy.questionnaires import CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX, Item, Questionnaire
+from ..userstudy.questionnaires import BEFORE, CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX, Item, Questionnaire
 from ..userstudy.tables import Tables
 from .repeated_measures import detectable_within, means_within, mixed_model, within_participants
 
@@ -158,7 +159,9 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "simulated": any(row["simulated"] for row in tables.participants),
         "design": study.design,
         "reference": study.reference,
-        "participants": _counts(tables),
+        "setup": _setup(study, tables),
+        "without_suggestions": _without_suggestions(study, tables),
+        "participants": {"planned": study.participants, **_counts(tables)},
         "conditions": _conditions(study, tables), **_groups(study, tables),
         "flow": _flow(study, tables),
         "measures": _adjusted(study, [_measure(study, one, tables) for one in found]),
@@ -175,6 +178,28 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
             if len(found[0].values[name]) < FEW
         ],
     }  # fmt: skip
+
+
+def _setup(study: UserStudy, tables: Tables) -> dict[str, Any]:
+    """Return the tasks with the costs of optimal plans as far as somebody began them, simulated people, and dates."""
+    costs = {row["task"]: row["optimal_cost"] for row in tables.tasks}
+    times = [row["arrived"] for row in tables.participants if row["arrived"] is not None]
+    times += [row["utc"] for row in tables.events if row["utc"] is not None]
+    return {
+        "tasks": [{"task": name, "optimal_cost": costs.get(name)} for name, _ in study.tasks],
+        "simulated_people": study.simulated, "first": min(times, default=None), "last": max(times, default=None),
+    }  # fmt: skip
+
+
+def _without_suggestions(study: UserStudy, tables: Tables) -> list[Row]:
+    """Return the conditions in which a policy that weighs costs made no suggestion to anybody who acted."""
+    found = []
+    for one in study.conditions:
+        own = [row for row in tables.tasks if row["condition"] == one.name and row["actions"]]
+        if one.policy in WEIGHING and own and not any(row["suggestions"] for row in own):
+            costs = {"c_suggest": one.setting.c_suggest, "c_move": one.setting.c_move}
+            found.append({"condition": one.name, "policy": one.policy, **costs})
+    return found
 
 
 def _counts(tables: Tables) -> dict[str, Any]:
@@ -248,7 +273,7 @@ def _measure(study: UserStudy, measure: Measure, tables: Tables) -> dict[str, An
             differences.append({"condition": name, "against": study.reference, **compared, **models})
     return {
         "measure": measure.name, "label": measure.label, "confirmatory": measure.name in study.confirmatory,
-        "ends": [finite(end) for end in measure.ends],
+        "ends": [finite(end) for end in measure.ends], "shares": _are_shares(study, measure),
         "cells": _cells(study, measure.values, measure.ends, shares=_are_shares(study, measure)),
         "differences": differences,
     }  # fmt: skip
@@ -427,6 +452,19 @@ def _asked(study: UserStudy, one: Questionnaire, item: Item, tables: Tables) -> 
     own = [row for row in tables.answers if (row["questionnaire"], row["item"]) == (one.name, item.name)]
     where = _names(study) if study.is_by_condition(one) else [ALL]
     answered = [row for row in own if row["answer"] is not None]
+    yield from _answers(study, one, item, tables, where, answered)
+    if one.when == BEFORE and not study.is_within and len(study.conditions) > 1:
+        # What was asked before describes the sample of each condition, too.
+        assigned = {row["participant"]: row["condition"] for row in tables.participants}
+        begun = [row | {"condition": assigned[row["participant"]]} for row in answered]
+        begun = [row for row in begun if row["condition"] is not None]
+        yield from _answers(study, one, item, tables, _names(study), begun)
+
+
+def _answers(
+    study: UserStudy, one: Questionnaire, item: Item, tables: Tables, where: list[str], answered: list[Row]
+) -> Iterator[Row]:
+    """Yield the numbers of answers to a question in each condition of `where`."""
     rows = {name: [row for row in answered if name in (ALL, row["condition"])] for name in where}
     scores = ((row["participant"], row["condition"], row["score"]) for row in answered)
     cells = (

@@ -2,3 +2,9 @@
 
 POLICIES = ("none", "reactive", "attention", "attention-never", "attention-outlook", "priority", "whittle", "rollout")
 """The names that `policies.named` accepts."""
+
+BASELINES = ("none", "reactive")
+"""Policies that others are compared with."""
+
+WEIGHING = tuple(name for name in POLICIES if name not in BASELINES)
+"""Policies that weigh the cost of a suggestion."""

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import fields, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,11 @@ from assist import Pool, simulate
 from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
 from assist.reports.study_report import Report
-from assist.reports.study_summary import BASELINES, Found, has_same_baseline
+from assist.reports.study_summary import Found, has_same_baseline
 from assist.study.protocol import read
 from assist.study.runner import load_study, run_study
 from assist.study.study import Study
+from assist.team.policy_names import BASELINES
 from planner import Instance, cost_to_go, load
 
 
@@ -235,6 +237,12 @@ def test_few_pools_are_said_to_be_few(small_study: tuple[Study, Path, dict], sev
         assert "**Few pools.** All conditions: fewer than 10 pools" in text
         saved = summary["headline"]["actions_vs_none"]
         assert saved["high"] - saved["low"] > 10  # percentage points, of two or three pools
+
+
+def test_the_report_names_the_people_and_the_episode_that_is_drawn(several: Report) -> None:
+    assert "People: *everybody*, beta 0.1 to 3, theta 0.5 to 0.95, sigma 0.1 to 1; *novices*, beta " in several.text
+    assert f"Made with kitassist {version('kitassist')}." in several.text
+    assert "Among the episodes of attention with the first pool on tiny with K = 2, it is the one" in several.text
 
 
 def test_a_single_episode_makes_a_report(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+from importlib.metadata import version
 from itertools import combinations, permutations
 from pathlib import Path
 from typing import Any
@@ -437,6 +438,70 @@ def exported(folder: Path, tables: Tables, text: str = CONFIRMED) -> Path:
     for name, columns in COLUMNS.items():
         (folder / f"{name}.csv").write_text(written_rows(columns, getattr(tables, name)))
     return folder
+
+
+def report_of(folder: Path, tables: Tables, text: str = CONFIRMED) -> str:
+    write_report(exported(folder / "data", tables, text), folder / "report")
+    return (folder / "report" / "report.md").read_text()
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_report_says_at_its_top_that_a_policy_suggested_nothing(tmp_path: Path) -> None:
+    tables = rows_of([(name, name, 1, 8, 5) for name in ("none", "attention") * 2])
+    said = "**attention made no suggestion** to anybody: none was worth its cost (c_suggest 0.02, c_move 0.01)"
+    assert said in report_of(tmp_path, tables).partition("## Participants")[0]
+    assert said.replace("**", "") in run("study-report", tmp_path / "data").stdout
+    tables.tasks[1]["suggestions"] = 1
+    assert "made no suggestion" not in report_of(tmp_path, tables)
+    reactive = CONFIRMED.replace('policy = "attention"', 'policy = "reactive"')  # which weighs no costs
+    assert "made no suggestion" not in report_of(tmp_path, rows_of([("attention", "attention", 1, 8, 5)]), reactive)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_report_has_what_a_methods_section_needs(tmp_path: Path) -> None:
+    report = report_of(tmp_path, rows_of([(name, name, 1, 8, 5) for name in ("none", "attention") * 2]))
+    assert "Each participant shared the robot with 2 simulated people, who acted once after each action" in report
+    plan = report.partition("## Plan")[2]
+    for said in (
+        "Participants arrived from 2026-11-27 12:00; ", f"with kitassist {version('kitassist')}.",
+        "| tasks | tiny (cost of an optimal plan: 6) |", '| setting | {"c_suggest": 0.02, "c_move": 0.01, ',
+        '| conditions: attention | {"policy": "attention", "reasons": false} |', "| simulated | 2 |",
+        '| population | {"beta": [0.1, 3.0], "theta": [0.0, 1.0], "sigma": [0.1, 1.0]} |',
+        '| questionnaires: trust | {"form": "likert", "when": "after", "items": "rely, wary"} |',
+    ):  # fmt: skip
+        assert said in plan, said
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_sample_is_described_as_a_whole_and_in_each_condition(tmp_path: Path) -> None:
+    asked = """
+[[questionnaires]]
+form = "number"
+name = "background"
+when = "before"
+items = [{ name = "age", text = "How old are you?", min = 18, max = 99 }]
+"""
+    tables = rows_of([(name, name, 1, 8, 5) for name in ("none", "attention") * 2])
+    for who, age in zip(tables.participants, (20, 30, 40, 31), strict=True):
+        tables.answers.append(dict.fromkeys(COLUMNS["answers"]) | {
+            "participant": who["participant"], "questionnaire": "background", "item": "age", "answer": age,
+            "score": float(age),
+        })  # fmt: skip
+    report = report_of(tmp_path, tables, CONFIRMED + asked)
+    for row in ("all participants | 4 | M = 30.25, SD = 8.18, 20 to 40", "none | 2 | M = 30.00, SD = 14.14, 20 to 40",
+                "attention | 2 | M = 30.50, SD = 0.71, 30 to 31"):  # fmt: skip
+        assert f"| How old are you? | {row} |" in report
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_an_interim_report_and_a_scale_of_one_item_say_what_they_are(tmp_path: Path) -> None:
+    rows = rows_of([(name, name, 1, 8, 5) for name in ("none", "attention")])
+    more = CONFIRMED.replace("seed = 3", "seed = 3\nparticipants = 12")
+    more += '[[questionnaires]]\nform = "likert"\nname = "hard"\nitems = [{ name = "h", text = "It was hard." }]\n'
+    report = report_of(tmp_path, rows, more)
+    assert "**In progress**: 2 of 12 planned participants have completed the study." in report
+    assert "It has one item, for which there is no Cronbach's alpha." in report
+    assert "In progress" not in report_of(tmp_path, rows, more.replace("participants = 12", "participants = 2"))
 
 
 @pytest.mark.usefixtures("no_figures")
