@@ -13,7 +13,6 @@ from .certificate import returns
 from .computation import Computation, Relaxation
 from .information_relaxation.belief_nodes import BeliefNodes
 from .information_relaxation.confidence import SampledBound
-from .information_relaxation.congestion import OutOfTimeError
 from .information_relaxation.sampled_bound import InformationRelaxation
 from .prices import SubproblemKind
 from .visited_beliefs import BeliefRecorder
@@ -54,7 +53,7 @@ def sampled(run: Computation, relaxed: Relaxation, together: int) -> SampledBoun
         run.tell("drawing sample paths", done, run.paths)
         return 1.0 - (time.perf_counter() - begun) / max(1e-9, run.start + run.limit - begun)
 
-    with suppress(OutOfTimeError):
+    with suppress(TimeoutError):
         team = InformationRelaxation(
             _belief_nodes(relaxed), relaxed.price, together, left, run.workers, run.options.relaxation,
             len(run.pool.setting.robots),

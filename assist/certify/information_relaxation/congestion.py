@@ -52,10 +52,6 @@ There is one more interval, between 0 and the price. Values above the last level
 """
 
 
-class OutOfTimeError(Exception):
-    """The time limit has passed before the demand for attention was computed."""
-
-
 class Scale(NamedTuple):
     """The layout of a row, the distribution of G (see the module) in the following steps: A blocks of L + 2 entries.
 

@@ -90,7 +90,7 @@ from planner.system.jit import njit
 from ...people.decision import Floats
 from .belief_nodes import END, LEFT, BeliefNodes, Ints, SampleGraph
 from .confidence import SampledBound
-from .congestion import AttentionDemand, Congestion, OutOfTimeError, Scale, lost
+from .congestion import AttentionDemand, Congestion, Scale, lost
 from .options import RelaxationOptions
 
 COMPILED_FOR = "bounds from sample paths: about twenty seconds"
@@ -191,7 +191,7 @@ class InformationRelaxation:
 
     Raises
     ------
-    OutOfTimeError
+    TimeoutError
         The time has passed before the demand at the beginning was computed.
     """
 
@@ -223,7 +223,7 @@ class InformationRelaxation:
 
     def _go_on(self) -> None:
         if self.left(self.done) <= self.latest:
-            raise OutOfTimeError
+            raise TimeoutError
 
     def paths(self, generators: Sequence[np.random.Generator]) -> list[SamplePath]:
         """Draw sample paths, one with each generator."""
@@ -265,7 +265,7 @@ class InformationRelaxation:
 
         Raises
         ------
-        OutOfTimeError
+        TimeoutError
             The time, and a quarter of it more, has passed before all these paths were processed.
         """
         few, paths = max(2, math.ceil(0.1 * paths)), max(2, paths)

@@ -27,7 +27,7 @@ from assist.certify.information_relaxation.belief_nodes import (
     state_of,
 )
 from assist.certify.information_relaxation.confidence import SampledBound
-from assist.certify.information_relaxation.congestion import OutOfTimeError, Scale, lost
+from assist.certify.information_relaxation.congestion import Scale, lost
 from assist.certify.information_relaxation.options import RelaxationOptions
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation, SamplePath
 from assist.certify.prices import kinds_of
@@ -434,7 +434,7 @@ def test_alpha_is_chosen_on_two_lucks_at_least(robot: InformationRelaxation, mon
     assert robot.sampled(10, 0).paths == 2
     assert len(drawn) == 2 + 2
     monkeypatch.setattr(robot, "left", lambda _: -0.3)  # more than a quarter too late
-    with pytest.raises(OutOfTimeError):
+    with pytest.raises(TimeoutError):
         robot.sampled(10, 0)
 
 
@@ -456,7 +456,7 @@ def test_the_paths_of_a_bound_do_not_decide_on_their_number(
     found = []
     for seed in range(400):
         clock[0] = 0.0
-        with suppress(OutOfTimeError):
+        with suppress(TimeoutError):
             found.append(robot.sampled(30, seed))
     assert len(found) > 380
     assert all(2 <= one.paths <= 30 for one in found)
@@ -531,7 +531,7 @@ def test_a_time_limit_holds_while_wishes_are_worked_out(
 ) -> None:
     """There is no bound if the time ends before all paths were evaluated whose number the pilot has decided."""
     asked = iter((1.0, 1.0, 1.0, 0.0))
-    with pytest.raises(OutOfTimeError):
+    with pytest.raises(TimeoutError):
         InformationRelaxation(
             [person.belief_nodes for person in robot.people],
             PRICE,
@@ -547,7 +547,7 @@ def test_a_time_limit_holds_while_wishes_are_worked_out(
         def until(generators: list[np.random.Generator]) -> list[SamplePath]:
             drawn.extend(generators)
             if len(drawn) > draws:
-                raise OutOfTimeError
+                raise TimeoutError
             return paths(generators)
 
         with monkeypatch.context() as patch:
@@ -556,5 +556,5 @@ def test_a_time_limit_holds_while_wishes_are_worked_out(
 
     assert sampled(2 + 6) == 6
     for draws in (1, 3, 7):
-        with pytest.raises(OutOfTimeError):
+        with pytest.raises(TimeoutError):
             sampled(draws)
