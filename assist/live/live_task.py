@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planner import CostToGo
 
 from ..drawing.picture import Artist
-from ..people.action_names import Matcher, UnmatchedError, words_of
+from ..people.action_names import Matcher, UnmatchedError, Words, words_of
 from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.goals import Goals, first_of
@@ -133,9 +133,15 @@ class LiveTask:
         if words == (STAND_STILL[1:-1],):
             return WAIT
         if words not in self.matcher.number:
-            why = self.matcher.unknown(words) or f"{action}: expected all arguments of an uncertain action"
-            raise Refusal("other", why=why)
+            raise Refusal("other", why=self.matcher.unknown(words) or self._incomplete(action, words))
         return self.matcher.number[words]
+
+    def _incomplete(self, action: str, words: Words) -> str:
+        """Return what is wrong with the beginning of an action where it may be any that begins so."""
+        named = zip(self.choices.names, self.matcher.words, strict=True)
+        whole = [name for name, known in named if known[: len(words)] == words]
+        some = ", ".join(whole[:3]) + (", ..." if len(whole) > 3 else "")
+        return f"{action}: with an observation model, and in likelihoods, actions have all arguments; expected {some}"
 
     def named(self, action: str) -> str:
         """Return an action of the task in PDDL notation; errors as in `ground`."""

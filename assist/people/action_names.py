@@ -115,7 +115,7 @@ class Matcher:
         """Return up to three applicable actions of similar spelling."""
         applicable = [self.actions[option] for option in options]
         near = difflib.get_close_matches(_shown(words), applicable, n=3, cutoff=0.5) or applicable[:3]
-        return f"nearest of the {len(applicable)} applicable: {', '.join(near)}"
+        return f"nearest in spelling of the {len(applicable)} applicable: {', '.join(near)}"
 
 
 def _shown(words: Words) -> str:

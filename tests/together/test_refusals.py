@@ -225,7 +225,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     "one fold": (lambda _: comparison.folds_of(3, 1), ValueError, "folds 1: expected 2 or more"),
     "nothing done": (
         lambda _: Matcher(["(go)"]).slot((), np.array([0])),
-        UnmatchedError, "an empty action; nearest of",
+        UnmatchedError, "an empty action; nearest in",
     ),
     "no choice": (
         lambda _: Matcher(["(go)"]).slot(("go",), np.array([], dtype=np.int32)),

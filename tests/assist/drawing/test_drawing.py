@@ -434,7 +434,7 @@ def test_draw_writes_every_format(tmp_path: Path) -> None:
         (
             ["--out", "a.svg", "--plan", "bad.plan"],
             1,
-            "bad.plan: step 0: (place hammer slot-1 box-a) is not applicable here; nearest of the 2 applicable",
+            "bad.plan: step 0: (place hammer slot-1 box-a) is not applicable here; nearest in spelling of the 2",
         ),
         (["--out", "a.svg", "--log", "t.jsonl", "--episode", "nine"], 1, "episode 'nine': the log has one, two"),
     ],

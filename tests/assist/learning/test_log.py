@@ -108,19 +108,19 @@ MALFORMED = [
         lines(FETCH, "(plce hammer slot-1 box-a)"),
         8,
         "person 'ann', episode '1', which is left out: step 1: (plce hammer slot-1 box-a): no action of the task is "
-        f"called 'plce'; nearest of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
+        f"called 'plce'; nearest in spelling of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
     ),
     (
         lines(FETCH, "(fetch box-b)"),
         8,
-        "person 'ann', episode '1', which is left out: step 1: (fetch box-b) is not applicable here; nearest of the 3 "
-        f"applicable: {BACK}",
+        "person 'ann', episode '1', which is left out: step 1: (fetch box-b) is not applicable here; "
+        f"nearest in spelling of the 3 applicable: {BACK}",
     ),
     (
         lines(FETCH, "(place hamer slot-1 box-a)"),
         8,
         "person 'ann', episode '1', which is left out: step 1: (place hamer slot-1 box-a) is no action of the task; "
-        f"nearest of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
+        f"nearest in spelling of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
     ),
     (
         lines(FETCH, "(place hammer)"),
@@ -142,8 +142,8 @@ MALFORMED = [
     (
         [*lines(FETCH, WRONG), *(dict(row, step=2) for row in lines(FETCH))],  # two people with one name
         9,
-        "person 'ann', episode '1', which is left out: step 2: (fetch box-a) is not applicable here; nearest of the 2 "
-        "applicable: (return box-a)",
+        "person 'ann', episode '1', which is left out: step 2: (fetch box-a) is not applicable here; "
+        "nearest in spelling of the 2 applicable: (return box-a)",
     ),
     (
         [{"person": "ann", "episode": "1", "step": 2**63, "action": FETCH}],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from itertools import product
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from assist.people.real_people import advice_takers
 from assist.person import QMDP, ObservationModel, Setting, joint_belief, qmdp
 from assist.person.assumptions import Assumptions
 from assist.person.truncated_policy import SharedTask, TruncatedPolicy
-from assist.texts import InapplicableError
+from assist.texts import InapplicableError, Refusal
 from planner import Table
 
 FETCH, OTHER = "(fetch box-a)", "(fetch box-b)"
@@ -102,6 +103,16 @@ def test_a_wrong_observation_is_survived_taken_back_and_saved(policy: str) -> No
     assert again.recommend() == team.recommend()
     assert len(team.log()) == 3 + 1 + 3 + 2  # an action that perhaps was missed is in no log
     assert json.loads(again.to_json()) == json.loads(team.to_json())
+
+
+def test_an_action_without_all_arguments_is_answered_with_those_that_begin_so() -> None:
+    said = (
+        "(fetch): with an observation model, and in likelihoods, actions have all arguments; expected (fetch box-a), "
+    )
+    with pytest.raises(Refusal, match=re.escape(said)):
+        desk().observe("ann", "(fetch)")
+    with pytest.raises(Refusal, match=re.escape(said)):
+        desk(SURE).observe("ann", likelihoods={"(fetch)": 1.0})
 
 
 def test_the_log_marks_what_was_seen_with_doubt_and_a_reader_of_it_is_told() -> None:
