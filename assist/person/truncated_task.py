@@ -388,19 +388,24 @@ class _Growth:
 
     def _add(self, states: NDArray[np.int64], weights: Floats) -> NDArray[np.int64]:
         """Add states and paths to them, of probability `weights`, shape (N, G); return the states' indices."""
-        new = np.array(list(dict.fromkeys(int(s) for s in states if int(s) not in self.number)), dtype=np.int64)
+        numbers, place = states.tolist(), self.number
+        new = np.array([state for state in dict.fromkeys(numbers) if state not in place], dtype=np.int64)
         if len(new):
-            self.number |= zip(new.tolist(), range(len(self.states), len(self.states) + len(new)), strict=True)
+            place |= zip(new.tolist(), range(len(self.states), len(self.states) + len(new)), strict=True)
             self.states.extend(new.tolist())
             self.h.extend(costs_to_go(self.known, new))
             self.goal.extend(goals_reached(self.known, new))
             self.rows.extend([None] * len(new))
-        local = np.array([self.number[int(state)] for state in states], dtype=np.int64)
-        for at, weight in zip(local.tolist(), weights, strict=True):
-            if self.rows[at] is None and (self.possible & ~self.goal[at]).any():
-                going = weight * ~self.goal[at]
-                heapq.heappush(self.queue, (-float(going.sum()), at, len(self.paths)))
-                self.paths.append(going)
+        local = np.array([place[number] for number in numbers], dtype=np.int64)
+        unexpanded = np.flatnonzero([self.rows[at] is None for at in local.tolist()])
+        here = local[unexpanded].tolist()
+        open_goals = ~np.array([self.goal[at] for at in here], dtype=bool).reshape(len(here), len(self.possible))
+        going = weights[unexpanded] * open_goals
+        sizes, goes_on = going.sum(axis=1).tolist(), (self.possible & open_goals).any(axis=1).tolist()
+        for at, path, size, further in zip(here, going, sizes, goes_on, strict=True):
+            if further:
+                heapq.heappush(self.queue, (-size, at, len(self.paths)))
+                self.paths.append(path)
         return local
 
     def step(self, most: int) -> int:
