@@ -50,7 +50,7 @@ def field_table(kind: Any) -> str:
 
 
 def event_table(base: type[Event]) -> str:
-    """Return a table of the events below a class: request, fields of the body, and what has happened."""
+    """Return a table of the events below a class: kind, request, fields of the body, and what has happened."""
     rows = []
     for kind in kinds(base).values():
         if kind.path is None or not kind.__module__.startswith("assist."):
@@ -59,8 +59,15 @@ def event_table(base: type[Event]) -> str:
         fields = ", ".join(f"`{name}`" for name in kind.fields() if name not in inside)
         said = str(kind.__doc__).strip().splitlines()[0].rstrip(".")
         who = "operator: " if kind.by_operator else ""
-        rows.append((f"`POST {kind.path}`", fields, f"{who}{said[0].lower()}{said[1:]}"))
-    return markdown_table(("request", "fields", "reports"), rows)
+        rows.append(
+            (
+                f"`{kind.model_fields['kind'].default}`",
+                f"`POST {kind.path}`",
+                fields,
+                f"{who}{said[0].lower()}{said[1:]}",
+            )
+        )
+    return markdown_table(("event", "request", "fields", "reports"), rows)
 
 
 def main() -> None:

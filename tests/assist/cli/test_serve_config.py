@@ -16,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 from conftest import ROOT, kit
 from serving import TINY, served
+from test_docs import BLOCK
 from test_live_web import Web
 
 from assist.cli import main
@@ -62,6 +63,17 @@ def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
     given.file(file, found["setting"], "setting")
     assert given.read() == LiveSetting()
     assert set(found["setting"]) <= set(names_of(LiveSetting))
+
+
+def test_the_file_in_the_documentation_is_read(tmp_path: Path) -> None:
+    (block,) = [text for text in BLOCK.findall((ROOT / "docs/live.md").read_text()) if "log_format" in str(text)]
+    (file := tmp_path / "line.toml").write_text(block if isinstance(block, str) else block[-1])
+    shutil.copy(TINY, tmp_path / "paper.pddl")
+    found = read_config(file, serve.params)
+    assert (found["instances"], found["humans"]) == ((str(tmp_path / "paper.pddl"),), 3)
+    given = Given(LiveSetting)
+    given.file(file, found["setting"], "setting")
+    assert (len(given.read().robots), given.read().tick) == (2, 5.0)
 
 
 def test_paths_in_a_file_are_relative_to_its_folder(tmp_path: Path) -> None:
