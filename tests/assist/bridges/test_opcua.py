@@ -109,10 +109,12 @@ class Station:
     async def show(self, value: str, identifier: str | None = None, *, at: str = "Pick") -> dict[str, Any]:
         """Show a value, again whenever the server has forgotten it; return the answer."""
         pick, answer, given_up = f"ns=2;s={self.name}.{at}", f"ns=2;s={self.name}.Answer", time.monotonic() + 60
+        before = None  # what was answered before this value, also if the connection is lost after it was answered
         while time.monotonic() < given_up:
             with suppress(OSError, ua.UaError):
                 async with self.plant.client() as client:
-                    before = await client.get_node(answer).read_value()
+                    if before is None:
+                        before = await client.get_node(answer).read_value()
                     while time.monotonic() < given_up:
                         if await client.get_node(pick).read_value() != value:
                             await client.get_node(pick).write_value(value)
