@@ -48,6 +48,12 @@ CASES = {
         "assist/team/attention.py --sample 4 --only reactive",
         "assist/team/attention.py --sample 1 --only reactive",
     ),
+    "neighbours bounds": ("--settings 20", "--settings 2"),
+    "neighbours policies": ("--episodes 100 --people 2", "--episodes 10 --people 2 --rate 0.1"),
+    "neighbours recovery": (
+        "--populations 2 --people 10 --tasks 2",
+        "--instance kitting/tiny --populations 1 --people 4 --tasks 2",
+    ),
     "trust": ("", "--fixed"),
     "trust_recovery coverage": (
         "--populations 4",

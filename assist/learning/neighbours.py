@@ -31,7 +31,13 @@ class _Told(NamedTuple):
 
 
 def places_of(rows: Iterable[Mapping[str, Any]]) -> dict[tuple[str, str], int]:
-    """Return the place of each person in each episode, from the rows of a simulation's trace."""
+    """Return the place of each person in each episode, from the rows of a simulation's trace.
+
+    Parameters
+    ----------
+    rows : iterable of mappings
+        Each with the person, the episode and the place.
+    """
     return {(str(row["person"]), str(row["episode"])): int(row["place"]) for row in rows}
 
 
