@@ -69,7 +69,8 @@ ROOMS = {
     "assist.plots": "style labels shown_figure episode watched people policies study userstudy",
     "assist.study": "study protocol tasks cells runner own_code",
     "assist.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
-        participant_team participants groups places teams events record roll cohort session tables export""",
+        participant_team participants groups places teams events record roll cohort session tables export
+        forecast""",
     "assist.reports": """watched_episode policy_comparison repeated_measures wording
         report_files study_summary study_claims study_figures study_report userstudy_summary
         preregistration userstudy_report""",

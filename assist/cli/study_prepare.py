@@ -4,41 +4,65 @@ from __future__ import annotations
 
 import csv
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from planner.batch.results_folder import SolveOptions
+
 from .options.common import INPUT_FILE, data_option
 from .options.help import command
-from .terminal.console import ExitCode, fail, print_json
+from .options.task import costs_of
+from .terminal.console import ExitCode, fail, note, print_json
 from .user_study import public_url_option
+
+if TYPE_CHECKING:
+    from ..userstudy.plan import UserStudy
 
 
 @command("study-prepare study.toml --data pilot", "study-prepare")
 @click.argument("file", metavar="FILE.toml", type=INPUT_FILE)
-@data_option(required=True)
+@data_option(required=False)
 @click.option(
     "--links", type=INPUT_FILE, metavar="FILE",
     help="Print a signed link for each participant ID in this file, one a line, instead of registering.",
 )  # fmt: skip
+@click.option("--check", is_flag=True, help="Only check the file and the policies, and register nothing.")
 @public_url_option
-def study_prepare(file: Path, data: Path, links: Path | None, public_url: str | None) -> None:
+def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool, public_url: str | None) -> None:
     """Preregister a user study, or sign the links of its participants.
 
-    The registration holds digests of FILE.toml and of the analysis. The report states whether they have changed.
+    The registration holds FILE.toml, and digests of it and of the analysis. The report states what has changed. A
+    policy that hardly suggests anything in simulated
+    episodes is named on stderr.
     """
     from planner.system.errors import InputFileError, ResultsExistError
 
     from ..reports.preregistration import register
     from ..userstudy.plan_file import read
 
+    if check and links is not None:
+        raise click.UsageError("--check cannot be combined with --links")
     try:
         study = read(file)
-        if links is None:
-            print_json(register(study, data))
+        if check or links is None:
+            if data is None and not check:
+                raise click.UsageError("expected --data DIR, the folder of the study, or --check")
+            record = None if check or data is None else register(study, data)
+            for text in _remarks(study):
+                note(text)
+            print_json(
+                {"study": str(file), "places": study.participants, "comparisons": study.comparisons}
+                if record is None
+                else record
+            )
             return
     except (InputFileError, ResultsExistError) as error:
         fail(str(error), ExitCode.USAGE)
+    if data is None:
+        raise click.UsageError("--links: expected --data DIR as well, the folder of the study")
     if public_url is None:
         raise click.UsageError("--links: expected --public-url URL as well, with which the links begin")
     from ..web.tokens import AccessTokens
@@ -50,6 +74,25 @@ def study_prepare(file: Path, data: Path, links: Path | None, public_url: str | 
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(("participant", "link"))
     writer.writerows((one, participant_url(access, one, data)) for one in ids)
+
+
+def _remarks(study: UserStudy) -> Iterator[str]:
+    """Yield what is possible, but hardly meant: unequal groups, and policies that hardly assist."""
+    from ..userstudy.forecast import seldom_assisted
+
+    orders, size = len(study.orders), 1 if study.group is None else study.group.size
+    if study.participants is not None and study.participants % (orders * size):
+        what, equal = "orders of conditions" if study.is_within else "conditions", orders * size
+        said = f"{orders} {what} get unequal numbers; expected a multiple of {equal} for equal ones"
+        yield f"participants {study.participants}: {said}"
+    tasks = {
+        name: costs_of(instance, max_states=SolveOptions.max_states, memory_limit_mb=None)
+        for name, instance in study.tasks
+    }
+    for one, assisted, episodes in seldom_assisted(study, tasks):
+        costs = f"c_suggest {one.setting.c_suggest:g}, c_move {one.setting.c_move:g}"
+        said = f"{one.name} suggests something in {assisted} of {episodes} simulated episodes"
+        yield f"{said}: hardly any suggestion is worth its cost ({costs}), see the table `setting` of the file"
 
 
 def _ids(file: Path, longest: int = 100) -> list[str]:

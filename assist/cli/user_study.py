@@ -137,7 +137,7 @@ def conduct(
         raise click.UsageError("--study: expected --data DIR as well, the folder in which the study's data are saved")
     folder = data or new_folder()
     if rehearse and any((folder / name).exists() for name in ("journal.sqlite", "journal.jsonl")):
-        raise click.UsageError(f"--data {folder}: contains a study already; expected another folder for a rehearsal")
+        raise click.UsageError(f"--data {folder}: contains a study already; expected another folder for each rehearsal")
     tasks = _tasks(study)
 
     def ready(service: StudyService) -> None:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 Rows = Sequence[Mapping[str, Any]]
 
+POINTS = 10
+"""Length of a scale up to which each point has a mark."""
+
 
 @styled
 def outcomes_figure(
@@ -30,7 +33,8 @@ def outcomes_figure(
     Parameters
     ----------
     measures : sequence of dict
-        Keys `measure`, `label`, and `cells` with `condition`, `n`, `mean`, `low`, `high`.
+        Keys `measure`, `label`, `ends` (the least and the largest possible value, or None), and `cells` with
+        `condition`, `n`, `mean`, `low`, `high`.
     points : mapping of mapping of sequence of float
         The participants' values, by measure and condition.
     texts : Catalogue, optional
@@ -51,9 +55,12 @@ def outcomes_figure(
         )
         axis.set_xlim(-0.6, len(measure["cells"]) - 0.4)
         axis.set_title(measure["label"])
-        axis.set_ylim(bottom=min(0, axis.get_ylim()[0]))
-        axis.grid(axis="y")
         _in_language(axis.yaxis, texts)
+        if None in measure["ends"]:
+            axis.set_ylim(bottom=min(0, axis.get_ylim()[0]))
+        else:
+            axis.set_ylim(*_scale(axis.yaxis, *measure["ends"]))
+        axis.grid(axis="y")
     return figure
 
 
@@ -115,7 +122,8 @@ def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], en
                 _interval(axis, shift - items.index(row["item"]), row, look, vertical=False)
     axis.set_yticks([-number for number in range(len(items))], [texts[item] for item in items])
     lowest, highest = ends
-    axis.set_xlim(lowest - 0.02 * (highest - lowest), highest + 0.02 * (highest - lowest))
+    axis.set_xlim(*_scale(axis.xaxis, lowest, highest))
+    axis.set_ylim(-len(items) + 0.5, 0.5)
     axis.grid(axis="x")
     legend_below(figure, [sample(name, look, line=False) for name, look in shown.items()])
     return figure
@@ -151,6 +159,13 @@ def flow_figure(flow: Rows, texts: Catalogue | None = None) -> Figure:
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel(texts.phrase("report.figures.reached"))
     return figure
+
+
+def _scale(axis: Axis, lowest: float, highest: float) -> tuple[float, float]:
+    """Mark both ends of a scale, and each point of a short one; return the limits of the axis, somewhat beyond them."""
+    steps = highest - lowest
+    axis.set_ticks(np.linspace(lowest, highest, int(steps) + 1 if steps <= POINTS else 5))
+    return lowest - 0.04 * steps, highest + 0.04 * steps
 
 
 def _in_language(axis: Axis, texts: Catalogue | None) -> None:

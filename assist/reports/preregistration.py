@@ -18,6 +18,7 @@ from planner.system.files import atomic
 
 from ..userstudy.export import REGISTERED
 from ..userstudy.plan import UserStudy
+from ..userstudy.plan_file import first_difference
 from ..userstudy.session import JOURNAL
 from ..userstudy.tables import Tables
 
@@ -49,12 +50,17 @@ def register(study: UserStudy, folder: Path) -> dict[str, Any]:
     ResultsExistError
         The study has begun, or has been registered.
     """
-    for name, what in ((JOURNAL, "the study has begun"), (REGISTERED, "the study is registered")):
-        if (folder / name).exists():
-            raise ResultsExistError(f"{folder / name}: {what}; a registration comes first, and stays as it was")
+    if (folder / JOURNAL).exists():
+        raise ResultsExistError(f"{folder / JOURNAL}: the study has begun; a registration comes first")
+    if (folder / REGISTERED).exists():
+        at = _recorded(folder / REGISTERED)["registered"]
+        raise ResultsExistError(
+            f"{folder / REGISTERED}: already registered at {at}; to register another plan, choose another folder"
+        )
     record = {
         "format": "kitassist preregistration 1", "registered": datetime.now(UTC).isoformat(timespec="seconds"),
         "version": metadata.version("kitassist"), "study": hashlib.sha256(study.file.read_bytes()).hexdigest(),
+        "text": study.file.read_text(encoding="utf-8"),
         "analysis": analysis_digests(), "confirmatory": list(study.confirmatory), "reference": study.reference,
         "participants": study.participants, "exclude_failed_checks": study.exclude_failed_checks,
     }  # fmt: skip
@@ -62,6 +68,22 @@ def register(study: UserStudy, folder: Path) -> dict[str, Any]:
     with atomic(folder / REGISTERED) as path:
         path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     return record
+
+
+def _recorded(file: Path) -> dict[str, Any]:
+    """Return a registration.
+
+    Raises
+    ------
+    InputFileError
+        The file is none.
+    """
+    try:
+        record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        datetime.fromisoformat(record["registered"])
+        return record | {"study": record["study"], "text": str(record["text"]), "analysis": dict(record["analysis"])}
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputFileError.of(file, None, f"not a preregistration: {error}") from None
 
 
 def compared(study: UserStudy, tables: Tables, folder: Path) -> dict[str, Any] | None:
@@ -77,17 +99,15 @@ def compared(study: UserStudy, tables: Tables, folder: Path) -> dict[str, Any] |
     file = folder / REGISTERED
     if not file.exists():
         return None
-    try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-        at, digest, analysis = datetime.fromisoformat(record["registered"]), record["study"], dict(record["analysis"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputFileError.of(file, None, f"not a preregistration: {error}") from None
+    record = _recorded(file)
+    at, digest, analysis = datetime.fromisoformat(record["registered"]), record["study"], record["analysis"]
     deviations, phrase = [], study.catalogue.phrase
     first = min((row["arrived"] for row in tables.participants if row["arrived"] is not None), default=None)
     if first is not None and datetime.fromisoformat(first) < at:
         deviations.append(phrase("report.registered_late"))
     if digest != hashlib.sha256(study.file.read_bytes()).hexdigest():
-        deviations.append(phrase("report.file_changed"))
+        found = first_difference(record["text"], study.file.read_text(encoding="utf-8"))
+        deviations.append(phrase("report.file_changed", **found))
     changed = [name for name, own in analysis_digests().items() if analysis.get(name) != own]
     if changed:
         deviations.append(phrase("report.analysis_changed", files=", ".join(changed)))

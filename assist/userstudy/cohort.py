@@ -224,14 +224,14 @@ class Cohort(Teams, Roll, History[StudyRecord]):
 
     def _seen(self, person: str) -> dict[str, Any]:
         who = self.known(person)
-        stage = self.stages[who.at]
+        stage, here = self.stages[who.at], who.status in (HERE, DONE)
         seen: dict[str, Any] = {
-            "person": person, "task": "", "present": True, "paused": False, "applicable": [], "suggestion": None,
+            "person": person, "task": "", "present": here, "paused": False, "applicable": [], "suggestion": None,
             "reason": None, "cost_to_go": None, "steps": 0, "finished": False, "explained": False,
         }  # fmt: skip
         over = False
         if stage.kind in ("practice", "task") and not who.removed:
-            seen, over = self.team_of(who).seen(person) | {"present": True}, self.is_over(who)
+            seen, over = self.team_of(who).seen(person) | {"present": here}, self.is_over(who)
             if over:
                 seen |= {"applicable": [], "suggestion": None, "reason": None}
             own = self.study.condition_at(stage, who.condition)
@@ -240,7 +240,7 @@ class Cohort(Teams, Roll, History[StudyRecord]):
                 seen["reason"] = None
             # Why nothing is suggested would reveal the condition.
             seen["explained"] = reasons and seen["suggestion"] is not None
-        kind = stage.kind if who.status in (HERE, DONE) else who.status
+        kind = stage.kind if here else who.status
         study = {
             "kind": kind, "stage": stage.name, "what": stage.what, "number": who.at + 1, "of": len(self.stages),
             "over": over, "completion": who.completion, "items": [item.name for item in self.items(who)],

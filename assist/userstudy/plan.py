@@ -134,7 +134,7 @@ class UserStudyPlan:
     confirmatory: Annotated[
         tuple[Text, ...], Field(description="Outcomes that test your hypotheses; all others are exploratory.")
     ] = ()
-    seed: Annotated[Seed, Field(description="Seed of all randomness.")] = 0
+    seed: Annotated[Seed, Field(description="Seed of what is drawn; when participants come and act is not.")] = 0
     group: Annotated[
         Grouping | None,
         Field(description="How participants form groups that share a robot; each has a team unless given."),

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import field
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -108,6 +109,14 @@ def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
     file = Path(file)
     with located(file):
         return _study(file, convert(load(file), FileTable, file), carried_out)
+
+
+def first_difference(before: str, after: str) -> dict[str, Any]:
+    """Return the first `line` in which two texts differ, and what it is in each (`before`, `after`)."""
+    lines = zip_longest(before.splitlines(), after.splitlines(), fillvalue="")
+    found = ((number, one, other) for number, (one, other) in enumerate(lines, start=1) if one != other)
+    number, one, other = next(found, (1, "", ""))
+    return {"line": number, "before": one.strip()[:80], "after": other.strip()[:80]}
 
 
 def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:

@@ -36,6 +36,7 @@ from ..texts.refusals import Refusal
 from .cohort import Cohort
 from .events import Withdrew
 from .plan import UserStudy
+from .plan_file import first_difference
 from .record import StudyRecord
 
 JOURNAL, PLAN, EXPORT, REPORT = "journal.sqlite", "study.toml", "user-study.zip", "report"
@@ -107,9 +108,12 @@ class StudySession(Session):
 
     def _check(self, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
         if found.get("format") == StudyRecord.format and found.get("study") != self.study.digest:
-            raise ResultsExistError(
-                f"{self._plan}: the folder belongs to another study than {self.study.file}; expected another folder"
-            )
+            said = f"{self._plan}: the folder belongs to another study than {self.study.file}"
+            if self._plan.exists():
+                text = self.study.file.read_text(encoding="utf-8")
+                differs = first_difference(self._plan.read_text(encoding="utf-8"), text)
+                said += ", line {line} of which is '{after}', not '{before}'".format(**differs)
+            raise ResultsExistError(f"{said}; expected another folder")
         super()._check(found, expected)
 
     def _anew(self) -> Cohort:

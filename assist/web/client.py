@@ -25,7 +25,7 @@ AGAIN = {408, 425, 429, 502, 503, 504, 507}
 reach the service.
 """
 
-LINK = re.compile(r"(?P<root>(/[^/]+)*?)/(join/(?P<name>[^/]+)|(study/)?operator)/?")
+LINK = re.compile(r"(?P<root>(/[^/]+)*?)/((join|part)/(?P<name>[^/]+)|(study/)?operator|study)/?")
 """Pattern of a link's path, before the token. The path of the service (`root`) contains none of these names."""
 
 
@@ -53,7 +53,8 @@ class Client(Reports):
     Parameters
     ----------
     link : str
-        A join link or the operator's link, as `kitassist serve` prints them. The service may be under a path.
+        A join link or the operator's link, as `kitassist serve` prints them, or the link of a participant's page. The
+        join link of a study has the rights of visitors (`docs/http.md`). The service may be under a path.
     patience : float
         Seconds for which requests to a service that does not answer are repeated.
     pause : float
@@ -64,7 +65,7 @@ class Client(Reports):
     Attributes
     ----------
     name : str or None
-        The person of a join link.
+        The person of a join link, or the participant.
     """
 
     def __init__(self, link: str, *, patience: float = 30.0, pause: float = 0.2, silence: float = 40.0) -> None:
@@ -108,7 +109,7 @@ class Client(Reports):
     def _path(self, person: str | None) -> str:
         name = person or self.name
         if name is None:
-            raise ValueError("expected the name of a person, since the link is the operator's")
+            raise ValueError("expected the name of a person, since the link is not that of one")
         return f"/api/people/{quote(name, safe='')}"
 
     def see(self, person: str | None = None) -> dict[str, Any]:

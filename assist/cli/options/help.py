@@ -23,8 +23,8 @@ GROUPS = {
     "Robot": ("--policy",),
     "Setting": ("--setting", "--set"),
     "Service": (
-        "--config", "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy",
-        "--bridge", "--data", "--log-format",
+        "--config", "--study", "--rehearse", "--links", "--check", "--port", "--host", "--public-url",
+        "--trusted-proxy", "--bridge", "--data", "--log-format",
     ),
     "Run": (
         "--episodes", "--value-episodes", "--episode", "--repeats", "--samples", "--gap", "--time-limit",

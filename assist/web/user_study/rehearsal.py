@@ -52,10 +52,10 @@ class SimulatedParticipant:
         self._person = SimulatedPerson(study.population, trust=study.setting.trust_rule(), seed=seed)
         self._rng = np.random.default_rng([seed, 2])
         self._lost = 0.0
-        visitor = Client(f"{base}/operator#{service.join_url().partition('#')[2]}")
+        visitor = Client(f"{base}/study#{service.join_url().partition('#')[2]}")
         seat = visitor.ask("POST", "/api/study/seats", {"id": uuid.uuid4().hex, "simulated": True})
         self._name = seat["person"]
-        self._client = Client(base + seat["part"].replace("/part/", "/join/", 1))
+        self._client = Client(base + seat["part"])
 
     def take_part(self) -> None:
         """Take part in the whole study."""

@@ -17,6 +17,7 @@ from assist.people.choices import Choices
 from assist.people.ranges import Population
 from assist.person.settings import Setting
 from assist.plots import study as study_figures
+from assist.plots import userstudy as userstudy_figures
 from assist.plots.episode import episode_figure
 from assist.plots.study import COMPARISONS
 from assist.plots.style import LOOKS, PolicyLook, looks, save_for_pages
@@ -441,3 +442,19 @@ def test_words_of_an_episodes_picture_do_not_cover_each_other(pool: Pool, people
     said = [f"{who}finished after {sum(row['place'] == 0 for row in rows)}" for who, rows in
             (("", trace), ("alone ", alone))]  # fmt: skip
     assert all(any(text.get_text().startswith(words) for text in shown) for words in said)
+
+
+def test_figures_of_scales_show_the_whole_scale() -> None:
+    cells = [{"condition": "none", "item": "rely", "n": 2, "mean": 5.5, "low": 4.5, "high": 7.0}]
+    measures = [{"measure": name, "label": name, "ends": ends, "cells": cells}
+                for name, ends in (("trust", [1.0, 7.0]), ("actions", [0.0, None]))]  # fmt: skip
+    points = {name: {"none": [4.0, 7.0]} for name in ("trust", "actions")}
+    figure = userstudy_figures.outcomes_figure(measures, points)
+    trust, actions = figure.axes[:2]
+    assert trust.get_yticks().tolist() == [1, 2, 3, 4, 5, 6, 7]
+    assert trust.get_ylim() == pytest.approx((0.76, 7.24))
+    assert actions.get_ylim()[0] == 0
+    (axis,) = userstudy_figures.scales_figure({"items": cells}, {"rely": "I could rely on it."}, (1.0, 7.0)).axes
+    assert axis.get_xticks().tolist() == [1, 2, 3, 4, 5, 6, 7]
+    assert axis.get_xlim()[1] > 7
+    assert axis.get_ylim() == (-0.5, 0.5)

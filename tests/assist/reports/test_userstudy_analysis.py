@@ -543,7 +543,7 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(t
     assert json.loads(said.stdout) == json.loads((data / REGISTERED).read_text())
     again = run("study-prepare", file, "--data", data)
     assert (again.exit_code, again.stderr.count("\n")) == (2, 1)
-    assert "the study is registered; a registration comes first" in again.stderr
+    assert f"already registered at {json.loads(said.stdout)['registered']}; to register another plan" in again.stderr
     rows = rows_of([(name, name, 1, 7, 5) for name in ("none", "attention") * 3])
     for row in rows.participants:
         row["arrived"] = "2999-01-01T00:00:00+00:00"
@@ -555,7 +555,13 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(t
 
     assert first_lines().endswith("the study's file and the analysis have not changed.")
     written(data / "study.toml", CONFIRMED.replace("actions", "seconds"))
-    assert "but** the study's file has changed" in first_lines()
+    (line,) = [number for number, one in enumerate(CONFIRMED.splitlines(), start=1) if one.startswith("confirmatory")]
+    assert (
+        "but** the study's file has changed (line {}: `{}` became `{}`)".format(
+            line, *(f'confirmatory = ["{name}", "trust"]' for name in ("actions", "seconds"))
+        )
+        in first_lines()
+    )
     record = json.loads((data / REGISTERED).read_text())
     record["analysis"]["learning/statistics.py"] = "0"
     (data / REGISTERED).write_text(json.dumps(record | {"registered": "3000-01-01T00:00:00+00:00"}))
@@ -568,6 +574,23 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(t
     (data / REGISTERED).unlink()
     (data / "journal.sqlite").touch()
     assert "the study has begun" in run("study-prepare", file, "--data", data).stderr
+
+
+def test_a_plan_is_checked_without_registering_it(tmp_path: Path) -> None:
+    file = written(tmp_path / "study.toml", CONFIRMED.replace("seed = 3", "seed = 3\nparticipants = 13"))
+    said = run("study-prepare", file, "--check")
+    assert json.loads(said.stdout) == {"study": str(file), "places": 13, "comparisons": 2}
+    assert said.stderr == (
+        "participants 13: 2 conditions get unequal numbers; expected a multiple of 2 for equal ones\n"
+    )
+    assert [one.name for one in tmp_path.iterdir()] == ["study.toml"]
+    dear = written(file, CONFIRMED.replace("c_suggest = 0.02", "c_suggest = 50.0"))
+    said = run("study-prepare", dear, "--data", tmp_path / "data")
+    assert "attention suggests something in 0 of 40 simulated episodes: hardly any suggestion is worth" in said.stderr
+    assert (tmp_path / "data" / REGISTERED).exists()
+    for options, wrong in (((), "expected --data DIR"), (("--check", "--links", file), "cannot be combined")):
+        refused = run("study-prepare", file, *options)
+        assert (refused.exit_code, wrong in refused.stderr) == (2, True)
 
 
 def test_links_of_participants_are_signed_by_a_command(tmp_path: Path) -> None:

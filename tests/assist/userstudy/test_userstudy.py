@@ -419,7 +419,7 @@ def test_who_leaves_before_the_task_gives_the_place_free_and_may_come_back(opene
     ann, bob = Part(session, "ann"), Part(session, "bob")
     ann.come()
     ann.to("practice")
-    ann.report("left")
+    assert ann.report("left")["present"] is False
     bob.come()  # a place is free again
     assert ann.report("returned")["study"]["kind"] == "full"
     with pytest.raises(InapplicableError):
@@ -432,6 +432,7 @@ def test_who_leaves_before_the_task_gives_the_place_free_and_may_come_back(opene
     with pytest.raises(InapplicableError):
         Part(session, "cleo").come()
     ann.finish()  # finishing a task readmits her
+    assert session.person("ann")["present"]
     assert session.person("ann")["study"]["over"]
     assert session.cohort.participants["ann"].status == "here"
 
@@ -490,7 +491,9 @@ def test_simulated_people_act_in_step_and_share_the_robot(opened: Open) -> None:
 
 def test_a_folder_of_another_study_is_refused(opened: Open) -> None:
     opened().close()
-    with pytest.raises(ResultsExistError, match=r"belongs to another study than .*study.toml"):
+    with pytest.raises(
+        ResultsExistError, match=r"study than .*study.toml, line 7 of which is 'seed = 4', not 'seed = 3'"
+    ):
         opened(PLAN.replace("seed = 3", "seed = 4"))
 
 

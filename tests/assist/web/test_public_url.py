@@ -168,6 +168,7 @@ def test_a_link_of_a_client_may_have_any_path() -> None:
     for root in ("", "/kits", "/a/b%20c", "/joins/operators"):
         for path, name in (
             ("join/ann%20b#T", "ann b"), ("operator#T", None), ("study/operator#T", None),
+            ("study#T", None), ("part/P-2#T", "P-2"),
         ):  # fmt: skip
             client = Client(f"https://host.example:8443{root}/{path}")
             assert (client.url, client.name) == (f"https://host.example:8443{root}", name)

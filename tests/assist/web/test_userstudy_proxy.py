@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import ssl
 import time
 import urllib.request
@@ -11,11 +12,13 @@ from pathlib import Path
 from urllib.parse import urljoin
 
 import pytest
+from conftest import ROOT
 from networks import NGINX, free_port, proxy, running
 from userstudies import PLAN, written
 
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
+from assist.userstudy.tables import tables
 from assist.web.app import make_app
 from assist.web.request_limits import Allowance, networks
 from assist.web.server import address, listen
@@ -83,3 +86,16 @@ def test_a_study_completes_behind_a_proxy_that_fails_twice(
     known = [access.operator, access.token(VISITOR), *(access.token(one["code"]) for one in overview["participants"])]
     assert not [token for token in known if token in log]
     assert TOKEN.search(log) is None
+
+
+def test_the_example_of_the_documentation_takes_part_in_a_study(tiny: Table, tmp_path: Path) -> None:
+    listening = listen("127.0.0.1", 0)
+    base = address(listening)
+    study, tasks = read(written(tmp_path / "study.toml", PLAN)), {"tiny": tiny, "practice": tiny}
+    session = StudySession(study, tasks, tmp_path / "data")
+    service = StudyService(session, AccessTokens.kept(tmp_path / "data" / "secret", base))
+    example = runpy.run_path(str(ROOT / "docs" / "examples" / "take_part.py"))
+    with running(make_app(service, more=[router]), listening):
+        last = example["take_part"](service.join_url(), "a visitor")
+    assert last["study"]["completion"]
+    assert [one["status"] for one in tables(study, tmp_path / "data" / "journal.sqlite").participants] == ["done"]
