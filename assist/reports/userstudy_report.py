@@ -266,7 +266,10 @@ def _difference_rows(measures: Iterable[dict[str, Any]], texts: Catalogue) -> It
             p, shown = other["p"], _shows(other)
             if one["confirmatory"]:
                 p = other.get("p_holm")
-                shown = "yes" if p is not None and p < 0.05 else "no"
+                if p is None or p >= 0.05:
+                    shown = "not_shown" if p is not None else "no_interval"
+                else:
+                    shown = "more" if other["mean"] > 0 else "less"
             g = {"mean": other["hedges_g"], "low": other["hedges_g_low"], "high": other["hedges_g_high"]}
             effect = "" if g["mean"] is None else interval(g, 2, texts)
             t = "" if other["t"] is None else f"{number(other['t'], texts=texts)} ({texts.decimal(other['df'], 1)})"

@@ -20,6 +20,7 @@ from scipy import special, stats
 from userstudies import PLAN, SCORES, written
 
 from assist.cli import main
+from assist.cli.user_study import _report
 from assist.learning.statistics import (
     EXACT,
     between_groups,
@@ -446,11 +447,16 @@ def report_of(folder: Path, tables: Tables, text: str = CONFIRMED) -> str:
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_the_report_says_at_its_top_that_a_policy_suggested_nothing(tmp_path: Path) -> None:
+def test_the_report_says_at_its_top_that_a_policy_suggested_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     tables = rows_of([(name, name, 1, 8, 5) for name in ("none", "attention") * 2])
     said = "**attention made no suggestion** to anybody: none was worth its cost (c_suggest 0.02, c_move 0.01)"
     assert said in report_of(tmp_path, tables).partition("## Participants")[0]
     assert said.replace("**", "") in run("study-report", tmp_path / "data").stdout
+    monkeypatch.setattr("assist.userstudy.export.archive", lambda _: b"")
+    _report(tmp_path / "data")  # as a rehearsal does at its end
+    assert said.replace("**", "") in capsys.readouterr().err
     tables.tasks[1]["suggestions"] = 1
     assert "made no suggestion" not in report_of(tmp_path, tables)
     reactive = CONFIRMED.replace('policy = "attention"', 'policy = "reactive"')  # which weighs no costs
@@ -491,6 +497,22 @@ items = [{ name = "age", text = "How old are you?", min = 18, max = 99 }]
     for row in ("all participants | 4 | M = 30.25, SD = 8.18, 20 to 40", "none | 2 | M = 30.00, SD = 14.14, 20 to 40",
                 "attention | 2 | M = 30.50, SD = 0.71, 30 to 31"):  # fmt: skip
         assert f"| How old are you? | {row} |" in report
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_what_is_shown_is_said_in_the_same_words_by_all_tests(tmp_path: Path) -> None:
+    rows = [(name, name, 1, (9 if name == "none" else 20) + number % 3, 3 + number % 2)
+            for number in range(12) for name in ("none", "attention")]  # fmt: skip
+    confirmatory, _, exploratory = report_of(tmp_path, rows_of(rows)).partition("### Exploratory")
+    (actions,) = [
+        line for line in confirmatory.splitlines() if line.startswith("| actions per task | attention | 11.0 (")
+    ]
+    assert actions.endswith("| < .001 | more |")
+    (trust,) = [
+        line for line in confirmatory.splitlines() if line.startswith("| trust: mean, 1 to 7 | attention | 0.0 (")
+    ]
+    assert trust.endswith("| 1.000 | not shown |")
+    assert "| 1.000 | not shown |" in exploratory
 
 
 @pytest.mark.usefixtures("no_figures")
