@@ -327,6 +327,18 @@ class Knowledge:
         robot = int(self.roster.robot[record.place]) if heard else 0
         return shown_by(self.roster, record, action, robot) if robot else None
 
+    @property
+    def sees_neighbours(self) -> bool:
+        """Whether people see each other helped, and the robots know of it."""
+        return neighbourhood(self.roster, self.setting) is not None
+
+    def sees(self, person: str) -> dict[str, float]:
+        """Return whom a person sees of those who are present, with the weight of each."""
+        seen, place = neighbourhood(self.roster, self.setting), self.entry(person).place
+        weights = {} if seen is None else dict(enumerate(seen.sees[place].tolist()))
+        there = [self.entry(name) for name in self.people]
+        return {one.name: weights[one.place] for one in there if weights.get(one.place)}
+
     def was_shown(self, person: str) -> bool:
         """Return whether neighbours may have seen the last action of a person."""
         record = self.known(person)

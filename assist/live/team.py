@@ -132,7 +132,8 @@ class Team(History[TeamRecord]):
 
     def touched(self, record: TeamRecord) -> set[str]:
         """Return the people whose view an event has changed."""
-        return record.touched() | (set(self.people) if record.event.concerns_all else set())
+        everybody = record.event.concerns_all or self.desk.sees_neighbours
+        return record.touched() | (set(self.people) if everybody else set())
 
     @property
     def paused(self) -> bool:
@@ -229,6 +230,7 @@ class Team(History[TeamRecord]):
             "grid": {"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
             "belief": known.hidden.with_theta(known.belief, "beta").tolist(),
             **({"goals": dict(known.goals)} if known.goals else {}),
+            **({"sees": self.desk.sees(person)} if self.desk.sees_neighbours else {}),
         }
 
     def learned(self, person: str) -> Floats | None:

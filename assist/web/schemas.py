@@ -175,6 +175,9 @@ class Member(Person):
     connected: bool
     simulated: bool
     goals: dict[str, float] | None = None
+    sees: dict[str, float] | None = Field(
+        None, description="Whom the person sees being helped, with the weight of each, if that moves theta."
+    )
     join: str
 
 

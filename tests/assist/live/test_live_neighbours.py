@@ -187,3 +187,23 @@ def test_an_explanation_says_what_was_seen_and_what_those_who_see_it_gain(tiny: 
     assert "You saw somebody follow a hint." in told.without_names().sentences()
     assert told.as_dict()["now"]["saw"]["neighbour"] == advice.person
     assert "saw" not in advice.explanation.as_dict()["now"]
+
+
+def test_the_operators_view_says_who_sees_whom(tiny: Table, tmp_path: Path) -> None:
+    setting = Setting(c_suggest=0.0, c_move=0.0, neighbours=Neighbours(rule="followed", pairs=[[1, 2], [2, 3, 0.25]]))
+    session = Session(tiny, tmp_path / "a.sqlite", setting=setting, policy=Pesters())
+    for name in "abc":
+        session.join(name)
+    assert [session.entry(name)["sees"] for name in "abc"] == [{"b": 1.0}, {"a": 1.0, "c": 0.25}, {"b": 0.25}]
+    before = session.entry("b")
+    session.observe("a", session.person("a")["suggestion"])
+    after = session.entry("b")
+    assert after["theta"][1] > before["theta"][1]
+    assert after["seq"] > before["seq"]  # pages show that it has changed
+    session.leave("c")
+    assert session.entry("b")["sees"] == {"a": 1.0}
+    session.close()
+    alone = Session(tiny, tmp_path / "b.sqlite")
+    alone.join("a")
+    assert "sees" not in alone.entry("a")
+    alone.close()
