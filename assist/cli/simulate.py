@@ -120,7 +120,9 @@ def simulate(
             if files.figure:
                 shown = Illustration.of(made.pool, one, results[-1], **options)
                 alone = None if name == "none" else shown.alone
-                style.save(episode_figure(shown.episode, shown.trace, alone), files.figure)
+                seen = made.pool.setting.neighbourhood(humans)
+                sees = None if seen is None else seen.sees
+                style.save(episode_figure(shown.episode, shown.trace, alone, sees), files.figure)
     if files.out:
         write_records(files.out, (episode.record() for result in results for episode in result))
     if files.trace:

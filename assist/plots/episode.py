@@ -5,9 +5,10 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
+from ..people.decision import Floats
 from ..simulation.episode import Episode
 from ..simulation.trace import Trace, robot_is_at
-from .style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, require
+from .style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, VERMILLION, require
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -> Figure:
+def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, sees: Floats | None = None) -> Figure:
     """Plot one episode: each person's cost-to-go over time, the suggestions, and where the robot was.
 
     Parameters
@@ -26,6 +27,9 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
         The episode's actions, as `simulate` traces them.
     alone : list of dict, optional
         The actions of the same episode without a robot, plotted for comparison.
+    sees : float array, shape (K, K), optional
+        Weight with which each person sees each other one (`Neighbours.weights`). A line leads from each suggestion to
+        the stations of those who saw it.
 
     Raises
     ------
@@ -67,9 +71,13 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="y", alpha=0.3)
+    if sees is not None:
+        _seen(figure, dict(zip(places, axes, strict=True)), trace, sees)
     axes[len(axes) // 2].set_ylabel("cost-to-go")
     axes[-1].set_xlabel("step (in each, every person acts once)")
-    figure.legend(handles=_entries(bool(alone)), loc="lower center", ncols=3, frameon=False, fontsize=9)
+    figure.legend(
+        handles=_entries(bool(alone), sees is not None), loc="lower center", ncols=3, frameon=False, fontsize=9
+    )
     return figure
 
 
@@ -89,6 +97,25 @@ def _panel(axis: Axes, place: int, rows: Trace, alone: Trace) -> None:
         )  # fmt: skip
     if rows[-1]["cost_to_go_after"] == 0:
         axis.plot([rows[-1]["step"] + 1], [0], marker="o", markersize=7, color=BLUE, zorder=6, clip_on=False)
+
+
+def _seen(figure: Figure, axes: dict[int, Axes], trace: Trace, sees: Floats) -> None:
+    """Draw a line from each suggestion to the stations of those who saw it and went on; its weight is its opacity."""
+    from matplotlib.patches import ConnectionPatch
+
+    height = {(row["place"], row["step"]): row["cost_to_go"] or 0 for row in trace}
+    last = {row["place"]: row["step"] for row in trace}
+    for row in trace:
+        here, step = row["place"], row["step"]
+        for place, axis in axes.items():
+            if row["suggestion"] and sees[place, here] > 0 and last[place] > step:
+                line = ConnectionPatch(
+                    (step + 0.5, height[here, step]), (step + 0.5, height[place, step]), "data", "data",
+                    axesA=axes[here], axesB=axis, color=VERMILLION, linewidth=0.9,
+                    alpha=0.15 + 0.55 * float(sees[place, here]),
+                )  # fmt: skip
+                line.set_gid("seen")
+                figure.add_artist(line)
 
 
 def _about(axis: Axes, episode: Episode, place: int, rows: Trace, alone: Trace) -> None:
@@ -120,7 +147,7 @@ def _short(name: str, most: int = 80) -> str:
     return name if len(name) <= most else f"{name[: most - 1]}…"
 
 
-def _entries(alone: bool) -> list[Artist]:
+def _entries(alone: bool, seen: bool) -> list[Artist]:
     """Return the entries of the legend."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -132,6 +159,7 @@ def _entries(alone: bool) -> list[Artist]:
         Patch(color=ORANGE, alpha=0.22, label="robot present"),
         Line2D([], [], **told, label="suggestion, followed"),  # type: ignore[arg-type]
         Line2D([], [], **told, markerfacecolor="white", label="suggestion, not followed"),  # type: ignore[arg-type]
+        *([Line2D([], [], color=VERMILLION, linewidth=0.9, label="seen by a neighbour")] if seen else []),
     ]
 
 

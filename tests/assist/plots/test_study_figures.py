@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from assist.people.choices import Choices
+from assist.people.neighbours import Neighbours
 from assist.people.ranges import Population
 from assist.person.settings import Setting
 from assist.plots import study as study_figures
@@ -419,6 +420,21 @@ def test_an_episodes_picture_counts_what_the_robot_executes(tiny_choices: Choice
     assert counts in " ".join(figure.get_suptitle().split())
     said = [next(text.get_text() for text in axis.texts if "after" in text.get_text()) for axis in figure.axes]
     assert said == [f"finished after {count} action{'s' * (count != 1)}" for count in episode.actions]
+
+
+def test_lines_between_stations_say_who_saw_a_suggestion(tiny_choices: Choices) -> None:
+    neighbours = Neighbours(rule="followed", sees="next", weight=0.5)
+    pool = Pool.sample(tiny_choices, 3, seed=2, setting=Setting(c_suggest=0.0, c_move=0.0, neighbours=neighbours))
+    trace = Trace()
+    [episode] = simulate(pool, "attention", humans=3, episodes=[0], seed=7, trace=trace)
+    figure = episode_figure(episode, trace, None, neighbours.weights(3))
+    lines = [one for one in figure.artists if one.get_gid() == "seen"]
+    last = {row["place"]: row["step"] for row in trace}
+    told = [(row["place"], row["step"]) for row in trace if row["suggestion"]]
+    expected = sum(abs(k - place) == 1 and last[k] > step for place, step in told for k in range(3))
+    assert len(lines) == expected > 0
+    assert "seen by a neighbour" in [text.get_text() for text in figure.legends[0].get_texts()]
+    assert not [one for one in episode_figure(episode, trace).artists if one.get_gid() == "seen"]
 
 
 @pytest.mark.parametrize("people", [1, 3, 12])
