@@ -11,6 +11,7 @@ fits the rate `eta_seen` to logs of simulated people, whose suggestions go to a 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,12 @@ from assist.team.priority import Priority
 from assist.team.state import TeamAction, TeamPolicy, TeamState
 from planner import load, sweep
 
+
+def more(name: str) -> Callable[[dict[str, Any]], str]:
+    """Return a formatter of a difference with its standard error."""
+    return lambda row: f"{row[name]:+.3f} ± {row[f'{name}_se']:.3f}"
+
+
 POLICIES = ("none", "attention", "attention-outlook", "priority")
 BOUNDS = {
     "rule": cell("rule"), "settings": cell("settings", ","), "best policy above the bound": cell("above"),
@@ -41,10 +48,10 @@ BOUNDS = {
 COMPARED = {
     "own theta": cell("trust"), "graph": cell("graph"), "rate": cell("rate"), "people": cell("people"),
     "return per person, attention": cell("attention", ".2f"), "suggestions": cell("suggestions", ".1f"),
-    "attention-outlook": cell("outlook", "+.3f", "outlook_se"), "its suggestions": cell("told", ".1f"),
-    "priority": cell("priority", "+.3f", "priority_se"),
-    "priority without outlook": cell("blind", "+.3f", "blind_se"),
-    "attention, not knowing": cell("ignorant", "+.3f", "ignorant_se"),
+    "attention-outlook": more("outlook"), "its suggestions": cell("told", ".1f"),
+    "priority": more("priority"),
+    "priority without outlook": more("blind"),
+    "attention, not knowing": more("ignorant"),
 }  # fmt: skip
 RECOVERED = {
     "people": cell("people"), "suggestions to each": cell("suggestions", ".0f"), "seen by each": cell("seen", ".0f"),
