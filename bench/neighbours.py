@@ -18,7 +18,7 @@ from typing import Any
 
 import click
 import numpy as np
-from tables import cell, record_option, write_record
+from tables import cell, more_option, record_option, write_record
 
 from assist.certify import upper_bound
 from assist.learning import compare_rules, fit_influence, places_of, replayed, seen_families, with_neighbours
@@ -34,7 +34,7 @@ from assist.team.state import TeamAction, TeamPolicy, TeamState
 from planner import load, sweep
 
 
-def more(name: str) -> Callable[[dict[str, Any]], str]:
+def difference(name: str) -> Callable[[dict[str, Any]], str]:
     """Return a formatter of a difference with its standard error."""
     return lambda row: f"{row[name]:+.3f} ± {row[f'{name}_se']:.3f}"
 
@@ -48,10 +48,10 @@ BOUNDS = {
 COMPARED = {
     "own theta": cell("trust"), "graph": cell("graph"), "rate": cell("rate"), "people": cell("people"),
     "return per person, attention": cell("attention", ".2f"), "suggestions": cell("suggestions", ".1f"),
-    "attention-outlook": more("outlook"), "its suggestions": cell("told", ".1f"),
-    "priority": more("priority"),
-    "priority without outlook": more("blind"),
-    "attention, not knowing": more("ignorant"),
+    "attention-outlook": difference("outlook"), "its suggestions": cell("told", ".1f"),
+    "priority": difference("priority"),
+    "priority without outlook": difference("blind"),
+    "attention, not knowing": difference("ignorant"),
 }  # fmt: skip
 RECOVERED = {
     "people": cell("people"), "suggestions to each": cell("suggestions", ".0f"), "seen by each": cell("seen", ".0f"),
@@ -222,9 +222,10 @@ class ToAnybody:
 @click.option("--tasks", "counts", type=int, multiple=True, default=(2, 8), show_default=True, help="Of each person.")
 @click.option("--rate", "rates", type=float, multiple=True, default=(0.1,), show_default=True)
 @record_option
+@more_option
 def recovery(
     populations: int, instance: str, sizes: tuple[int, ...], counts: tuple[int, ...], rates: tuple[float, ...],
-    record: Path | None,
+    record: Path | None, more: bool,
 ) -> None:  # fmt: skip
     """Fit the rate to logs of simulated teams of three in a row."""
     task, rows = sweep(load(instance)), []
@@ -234,7 +235,7 @@ def recovery(
                 rows.append({"true": rate, "people": people, "populations": populations}
                             | _recovered(task, rate, people, tasks, populations))  # fmt: skip
                 click.echo("  ".join(show(rows[-1]) for show in RECOVERED.values()))
-    write_record(record, RECOVERED, rows)
+    write_record(record, RECOVERED, rows, more=more)
 
 
 def _recovered(task: Any, rate: float, people: int, tasks: int, populations: int) -> dict[str, Any]:
