@@ -168,7 +168,9 @@ def test_time_and_memory_are_shared_among_kinds(monkeypatch: pytest.MonkeyPatch)
 
         return SimpleNamespace(bounded=bounded, pomdp=pool.policies[number].pomdp)
 
-    fake: Any = SimpleNamespace(model=pool.model, policies=[policy(number) for number in range(3)])
+    fake: Any = SimpleNamespace(
+        model=pool.model, policies=[policy(number) for number in range(3)], setting=pool.setting
+    )
     monkeypatch.setattr(prices, "time", SimpleNamespace(perf_counter=lambda: 100.0))
     told: list[tuple[str, int, int]] = []
     for with_outer, limit in ((True, 100.0), (False, 300.0)):

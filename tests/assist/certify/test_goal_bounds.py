@@ -78,10 +78,11 @@ def exact(pomdp: AssistPOMDP, steps: int) -> tuple[float, float]:
 def test_the_bound_of_one_person_is_the_mean_value_with_known_goals(suggestions: Any) -> None:
     """It is above the value with unknown goals, from an enumeration of histories: the goal is worth knowing here."""
     people, goals = Population(beta=(0.1, 0.5), theta=(0.8, 0.95)), ring((0.45, 0.45, 0.1))
-    options: dict[str, Any] = {"gamma": 0.5, "c_suggest": 0.01, "suggestions": suggestions}
-    setting = Setting(**options, eta=0.1, c_move=0.0, knowledge="exact", lapse=0.01)
+    options: dict[str, Any] = {"gamma": 0.5, "suggestions": suggestions}
+    setting = Setting(**options, c_suggest=0.01, eta=0.1, c_move=0.0, knowledge="exact", lapse=0.01)
     found = upper_bound(Pool.sample(goals, 1, seed=1, setting=setting, population=people), gap=1e-3, jobs=1)
-    problem = AssistPOMDP.of(HumanModel.exact(goals.choices(), eta=0.1, lapse=0.01), population=people, **options)
+    model = HumanModel.exact(goals.choices(), eta=0.1, lapse=0.01)
+    problem = AssistPOMDP.of(model, population=people, robot=OfRobots(c_suggest=0.01), **options)
     low, high = exact(problem, 3)
     assert high - low < 0.01
     known = np.array([share * np.array(exact(one, 3)) for share, one in problem.given_goals()]).sum(axis=0)
