@@ -5,8 +5,8 @@ belief in a neighbour j who sees it, to b_j' (`people.neighbourhood`). One step 
 
     gamma sum_a P(a | b_k, r) sum_j (V_j(x_j, b_j') - V_j(x_j, b_j)),
 
-with the value V_j of j's own problem in their present state. `AttentionWithOutlook` adds it to the score of Algorithm
-1, and `Priority` to the value of presence.
+with V_j the largest Q-value of j's own problem in their present state. `AttentionWithOutlook` adds it to the score of
+Algorithm 1, and `Priority` to the value of presence.
 """
 
 from __future__ import annotations

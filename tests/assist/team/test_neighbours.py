@@ -8,16 +8,20 @@ import numpy as np
 import pytest
 
 from assist.declare.declared import DeclarationError
+from assist.interop.teams import Teams
 from assist.people.goals import Goals
 from assist.people.neighbourhood import Helped, Neighbourhood
 from assist.people.neighbours import SEEN_RULES, Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
 from assist.person.observation_model import ObservationModel
+from assist.person.policy import Policy
 from assist.person.settings import Setting
+from assist.simulation.common_random_numbers import CommonRandomNumbers
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
+from assist.team.outlook import outlook
 from assist.team.state import TeamAction, TeamState
-from planner import sweep_goals
+from planner import OnDemand, sweep_goals
 from planner.costtogo.table import Table
 
 
@@ -285,3 +289,70 @@ def test_a_rule_of_the_users_own_moves_theta(tiny: Table) -> None:
 
     assert run(Doubled(0.1)) == run(SeenOutcome(0.2)) != run("none")
     assert set(SEEN_RULES) == {"none", "outcome", "followed", "steps"}
+
+
+@pytest.mark.parametrize("rule", RULES.values())
+def test_the_outlook_is_the_expected_change_of_those_who_see_it(tiny: Table, rule: SeenRule) -> None:
+    """Against loops over people, suggestions, answers and those who see them."""
+    neighbours = Neighbours(rule=rule, matrix=((0, 0.8, 0), (0.5, 0, 1), (0.3, 0, 0)))
+    setting = Setting(neighbours=neighbours, c_suggest=0.1, suggestions="all")
+    pool, found, talks = Pool.sample(tiny, 3, seed=2, setting=setting), list[float](), Talkative(2)
+
+    def watched(team: TeamState) -> TeamAction:
+        assert team.belief is not None
+        actions, sees = team.q_values().shape[2], neighbours.weights(3)
+        got = outlook(team, actions, Policy.value)
+        for e, k, r in np.ndindex(got.shape):
+            pomdp, x = team.policies[team.model[e, k]].pomdp, team.x[e, k : k + 1]
+            slot, expected = pomdp.suggested[x[0], r] if r < pomdp.suggested.shape[1] else -1, 0.0
+            choices, cost = pomdp.model.choices, pomdp.model.q
+            for a in range(int(choices.applicable[x[0]].sum()) if slot >= 0 and team.active[e, k] else 0):
+                chance = (pomdp.likelihood(x, np.array([r]), np.array([a]))[0] * team.belief[e, k]).sum()
+                y = choices.targets[x[0], a]
+                gain = cost[x[0]].min() - (0.0 if choices.goal[y] else cost[y].min())
+                for j in np.flatnonzero(sees[:, k] * team.active[e]).tolist():
+                    policy, b = team.policies[team.model[e, j]], team.belief[e, j]
+                    moved = np.zeros_like(b)
+                    for t, theta in enumerate(policy.pomdp.grid.theta.tolist()):
+                        low, up = policy.pomdp.grid.shares(moved_by_hand(rule, theta, gain, a == slot, sees[j, k]))
+                        moved[:, low] += (1 - up) * b[:, t]
+                        moved[:, low + 1] += up * b[:, t]
+                    there = team.x[e, j : j + 1]
+                    after, now = (policy.q_values(there, one[None]).max() for one in (moved, b))
+                    expected += chance * float(after - now)
+            assert got[e, k, r] == pytest.approx(setting.gamma * expected, abs=1e-12)
+            found.append(expected)
+        return talks(team)
+
+    _ = simulate(pool, watched, humans=[0, 1, 2], episodes=[0, 1], seed=1)
+    assert np.ptp(found) > 0.01
+
+
+def test_a_task_on_demand_shows_the_same(tiny: Table) -> None:
+    """Theta moves as on the enumerated task, whose rows are all there from the start."""
+    neighbours = Neighbours(rule=SeenOutcome(0.1), sees="next")
+    setting = Setting(neighbours=neighbours, c_suggest=0.0, knowledge="exact", max_steps=30)
+    traces = []
+    for task in (tiny, OnDemand(tiny.task, jobs=1)):
+        trace = Trace()
+        pool = Pool.sample(task, 3, seed=2, setting=setting)
+        _ = simulate(pool, "reactive", humans=[0, 1, 2], episodes=6, seed=1, trace=trace)
+        traces.append([(row["action"], row["suggestion"], row["theta"]) for row in trace])
+    assert [row[:2] for row in traces[0]] == [row[:2] for row in traces[1]]
+    np.testing.assert_allclose(*([row[2] for row in one] for one in traces), atol=1e-12)
+    assert any(row[1] for row in traces[0])
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_people_of_an_environment_see_each_other(tiny: Table, known: bool) -> None:
+    neighbours = Neighbours(rule=SeenFollowed(0.03, 0.02), sees="next", known=known)
+    pool = Pool.sample(tiny, 3, seed=2, setting=Setting(neighbours=neighbours, c_suggest=0.0, trust="constant"))
+    teams, draws, every = Teams(pool, 4, 3), CommonRandomNumbers(0, np.arange(4), 3), np.arange(4)
+    teams.draw_from(draws)
+    teams.begin(every, np.tile([0, 1, 2], (4, 1)), lambda kind: draws.draw(kind, every))
+    before, state = teams.theta.copy(), teams.state()
+    assert (state.neighbours is not None) == known
+    taken = teams.step(every, state.act(np.zeros(4, dtype=np.int64), state.first_optimal()))
+    suggested = pool.policies[0].pomdp.suggested[taken.before[:, 0], taken.robot[:, 0]]
+    moved = np.where(taken.slot[:, 0] == suggested, 0.03, -0.02)
+    np.testing.assert_allclose(teams.theta - before, np.stack([0 * moved, moved, 0 * moved], axis=1), atol=1e-12)
