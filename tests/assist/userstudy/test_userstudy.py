@@ -401,6 +401,7 @@ def test_data_can_be_withdrawn_until_the_studys_date_and_the_report_counts_every
     found = tables(session.study, session.folder / JOURNAL)
     summary = summarise(session.study, found)
     assert summary["participants"] == {
+        "planned": None,
         "enrolled": 6, "declined": 1, "full": 0, "randomised": 5, "completed": 2, "withdrew": 3, "gone": 0, "here": 0,
         "erased": 1, "excluded": {"did another study": 1}, "analysed": 1,
     }  # fmt: skip
