@@ -139,7 +139,7 @@ class Mqtt(Transport):
         if answers is None or all(source.number is None for source in self.settings.sources):
             return found
         try:
-            async with self._named(f"{self.settings.broker.client}-answers", clean_session=True) as reader:
+            async with self._named(f"{self.settings.broker.client}-answers", clean_session=True, timeout=3.0) as reader:
                 await reader.subscribe(answers.topic.filter, qos=1)
                 with suppress(TimeoutError):
                     while True:
