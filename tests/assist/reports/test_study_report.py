@@ -18,6 +18,7 @@ from scipy import stats
 from studies import TINY, write
 
 from assist import Pool, simulate
+from assist.people.neighbours import Neighbours
 from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
 from assist.reports.study_report import Report
@@ -107,7 +108,7 @@ CHANGED = {
     "gamma": 0.5, "c_suggest": 3.0, "c_move": 2.0, "travel_time": 2.0, "eta": 0.9, "utility_scale": 0.1, "lapse": 0.3,
     "knowledge": "exact", "suggestions": "all", "execute": True, "c_execute": 0.1, "max_steps": 3, "robots": 1,
     "trust": "constant", "believed_trust": "outcome", "c_ask": 0.1, "ask_error": 0.3,
-    "observation": ObservationModel(0.4, 0.1),
+    "observation": ObservationModel(0.4, 0.1), "neighbours": Neighbours(rule="followed", sees="everybody"),
 }  # fmt: skip
 
 
