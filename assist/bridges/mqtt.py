@@ -89,6 +89,7 @@ class Mqtt(Transport):
         self._count = robots
         self.robots = 0 if settings.robot is None else robots
         self._context = settings.context()
+        self._resumed, self._asked = list[Resumed](), False
 
     def address(self) -> str:
         """Return the broker's host and port."""
@@ -102,7 +103,8 @@ class Mqtt(Transport):
             self._broker, self._open = broker, Acknowledgements(broker._client.ack)
             for topic in self._topics():
                 await broker.subscribe(topic, qos=1)
-            self._resumed = await self._last_answers()
+            if not self._asked:  # later the bridge itself knows how far numbers are
+                self._resumed, self._asked = await self._last_answers(), True
             if settings.status is not None:
                 await broker.publish(settings.status.topic.text, ONLINE, qos=1, retain=True)
             try:
@@ -157,8 +159,8 @@ class Mqtt(Transport):
 
     async def messages(self) -> AsyncIterator[Message]:
         """Yield what the broker delivers."""
-        for resumed in self._resumed:
-            yield resumed
+        while self._resumed:
+            yield self._resumed.pop()
         async for message in self._broker.messages:
             done = self._open.expect(message.mid, message.qos)
             yield self.message(str(message.topic), message.payload, done)
