@@ -51,6 +51,6 @@ class InputFileError(ValueError):
     """
 
     @classmethod
-    def of(cls, file: Path, line: int | None, message: str) -> InputFileError:
+    def of(cls, file: str | Path, line: int | None, message: str) -> InputFileError:
         """Return the error of a file, or of one of its lines, which are counted from 1."""
         return cls(f"{file}{'' if line is None else f':{line}'}: {message}")

@@ -264,7 +264,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), ValueError, "the log is empty"),
     "the operator's link": (
         lambda _: Client("http://127.0.0.1:9/operator#secret").see(),
-        ValueError, "expected the name of a person, since the link is the operator's",
+        ValueError, "expected the name of a person, since the link is not that of one",
     ),
     "a long answer": (
         lambda _: Questionnaire("text", items=(Item("why", "Why?", "text"),)).check({"why": "x" * 100_000}),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,11 @@ def test_the_goals_of_people_are_inferred() -> None:
         assert entry["goals"] == pytest.approx({"travel": 0.5, "mend": 0.3, "mount": 0.2})
         for action in ("(fetch box-c)", "(place tape slot-2 box-c)"):
             service.ask("POST", f"{view}/actions", "person-1", json={"action": action})
-        team = service.ask("GET", "/api/team").json()
+        for _ in range(600):  # until the simulated person has acted, however busy the machine is
+            team = service.ask("GET", "/api/team").json()
+            if team["people"][1]["steps"]:
+                break
+            time.sleep(0.1)
         assert team["people"][0]["goals"]["travel"] > 0.8
         assert team["people"][1]["steps"] > 0
         seen = service.ask("GET", view, "person-1").json()
