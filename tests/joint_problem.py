@@ -65,7 +65,7 @@ def check(people: list[AssistPOMDP], travel: Travel) -> None:
     """Raise `ValueError` if the problem is too large, or has features that are not modelled here."""
     if len(people) != len(travel):
         raise ValueError(f"{len(people)} people, but distances for {len(travel)}: expected the same number")
-    if travel.steps.any():
+    if not travel.at_once:
         raise ValueError("travel: expected no travel time")
     around = (travel.distance[:, :, None] + travel.distance[None]).min(axis=1)
     if (around < travel.distance - 1e-9).any():

@@ -92,7 +92,8 @@ def serve(
     def ready(access: AccessTokens, people: tuple[str, ...]) -> None:
         join = {person: access.join_url(person) for person in people if person not in plan.simulated}
         click.echo(json.dumps({"url": access.base, "operator": access.operator_url(), "join": join}))
-        note(f"the session is saved in {plan.folder}; Ctrl-C ends the service, --data {plan.folder} resumes it")
+        again = f"the same command with --data {plan.folder} resumes it"
+        note(f"the session is saved in {plan.folder}; Ctrl-C ends the service, {again}")
 
     changed = None if config is None else changed_settings(config, click.get_current_context(), session, setting, given)
     server.serve(plan, session, listening, ready, beside, changed)

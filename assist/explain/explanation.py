@@ -364,7 +364,7 @@ class Explanation:
         elif best.threshold > 0:
             yield say("nothing.at_no_cost")
         else:
-            yield say("nothing.not_for_free")
+            yield say("nothing.for_the_way" if 0 < best.worth <= best.moving else "nothing.not_for_free")
 
 
 def _asks(say: Catalogue, why: WhyQuestion, about: str | None) -> Iterator[str]:
