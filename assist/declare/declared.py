@@ -168,7 +168,7 @@ class DeclarationError(ValueError):
         unknown = unknown if faults[0]["type"] in {*UNKNOWN, *MISSING} else None
         here = [one for one in faults if one["loc"][:1] == faults[0]["loc"][:1]]
         fault = unknown or max(here, key=lambda one: len(_place(kind, one["loc"])[0]))  # of a union the nearest member
-        if unknown is not None:
+        if fault["type"] in UNKNOWN:
             place, owner = _place(kind, fault["loc"][:-1])
             name = str(fault["loc"][-1])
             right = f"unknown; {meant(name, names_of(owner))}"

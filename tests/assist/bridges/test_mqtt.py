@@ -686,6 +686,7 @@ def test_fields_of_payloads() -> None:
     [
         ("[observe]", "observe.topic: is missing; expected a text"),
         ('[observe]\ntopic = "line"\nactoin = "x"', "observe.actoin: unknown; did you mean 'action'?"),
+        ('[[observe]]\ntopic = "line"\nactoin = "x"', "observe[1].actoin: unknown; did you mean 'action'?"),
         ('[observe]\ntopic = "line/#"', "'line/#'; expected levels"),
         ('[observe]\ntopic = "line"\npattern = "("', "is no regular expression"),
         ('[observe]\ntopic = "line"\n[advice]\ntopic = "line"', "expected {person} in it"),
