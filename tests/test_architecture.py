@@ -45,7 +45,7 @@ ROOMS = {
         growing_problem leaf_estimates backups compliance_relaxation truncated_bound truncated_policy
         person_problem""",
     "assist.learning": """method statistics log_steps log_json log_files log comparison intervals advice_log
-        advice_rules advice_model advice_fit replay observations joint_states evidence neighbours likelihood
+        advice_rules advice_model advice_fit replay observations joint_states evidence neighbours_in_logs likelihood
         choosing likelihood_table likelihood_arrays first_estimates person_estimate profiles maximum_likelihood
         logit_likelihood hierarchy misconception_fit
         diagnostics population fit goals model_comparison rule_families posterior_sample influence_population
@@ -57,9 +57,9 @@ ROOMS = {
         simulate belief_trace illustration""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
     "assist.explain": "continuations contrast explanation",
-    "assist.live": """names live_task advice roster neighbours uncertain_actions beliefs live_questions decision_point
-        robot_places decisions knowledge desk event_base events reports record assistant store people_store
-        header history team session simulated_person trace_reasons""",
+    "assist.live": """names live_task advice roster seen_suggestions uncertain_actions beliefs live_questions
+        decision_point robot_places decisions knowledge desk event_base events reports record assistant store
+        people_store header history team session simulated_person trace_reasons""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options action_prices envelope prices certificate visited_beliefs computation
         truncated_prices sample_paths team_bound relaxed_value comparison""",

@@ -27,8 +27,8 @@ from .log import read_log as read_log
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
 from .misconception_fit import fit_misconception as fit_misconception
 from .model_comparison import compare_models as compare_models
-from .neighbours import places_of as places_of
-from .neighbours import with_neighbours as with_neighbours
+from .neighbours_in_logs import places_of as places_of
+from .neighbours_in_logs import with_neighbours as with_neighbours
 from .observations import EvaluatedStates as EvaluatedStates
 from .observations import Observations as Observations
 from .observations import UnknownGoals as UnknownGoals

@@ -26,8 +26,8 @@ from ..team.questions import GoalQuestion
 from ..team.state import worth_of_actions
 from ..texts.refusals import InapplicableError
 from .advice import Reason
-from .neighbours import see
 from .roster import Roster, RosterEntry, Step, Told
+from .seen_suggestions import see
 from .uncertain_actions import after_answers, update_by
 
 

@@ -27,9 +27,9 @@ from .beliefs import reason_of
 from .decision_point import DecisionPoint
 from .live_questions import LiveQuestions
 from .live_task import LiveTask
-from .neighbours import neighbourhood
 from .robot_places import RobotPlaces
 from .roster import Roster
+from .seen_suggestions import neighbourhood
 from .uncertain_actions import prepare_uncertain
 
 

@@ -35,9 +35,9 @@ from .beliefs import (
 )  # fmt: skip
 from .decisions import Decisions
 from .live_task import LiveTask
-from .neighbours import Shown, forget_last, let_see, neighbourhood, shown_by
 from .robot_places import RobotPlaces
 from .roster import Roster, RosterEntry, Step, Told
+from .seen_suggestions import Shown, forget_last, let_see, neighbourhood, shown_by
 from .uncertain_actions import seen_of
 
 Task = CostToGo | Goals | Policy

@@ -52,8 +52,8 @@ def test_first_estimates_are_near_the_precise_ones(kind: str) -> None:
         for name, ends in first.intervals.items():
             one = precise.estimates[name]
             width = one.interval[1] - one.interval[0]
-            assert first.values[name] == pytest.approx(one.value, abs=0.05 * width) or name == "eta"
-            assert ends == pytest.approx(one.interval, abs=0.2 * width)
+            assert first.values[name] == pytest.approx(one.value, abs=0.05 * width)
+            assert ends == pytest.approx(one.interval, abs=0.16 * width)
 
 
 def test_what_the_actions_do_not_say_is_left_out() -> None:
@@ -68,7 +68,6 @@ def test_the_command_prints_them_where_the_search_must_be_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = write_log(tmp_path / "log.jsonl", ROWS)
-    assert profiles.at_hand() in (True, False)
     for at_hand, count in ((True, 0), (False, 3)):
         monkeypatch.setattr(profiles, "at_hand", lambda at_hand=at_hand: at_hand)
         result = invoke("fit", "kitting/paper", file, "--json")
