@@ -18,7 +18,7 @@ import numpy as np
 from fleet import instance
 from tables import cell, record_option, write_record
 
-from assist.coupled import Agents, bound, joint_optimum, sampled_bound
+from assist.certify.coupled import Agents, bound, joint_optimum, sampled_bound
 
 COLUMNS = {
     "problems": cell("name"),

@@ -46,11 +46,11 @@ from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
 from assist.person import truncated_bound
 from assist.person.settings import Setting
 from assist.person.travel import Travel
-from assist.simulation.goal_knowledge import GoalKnowledge
-from assist.simulation.pool import Pool
-from assist.simulation.schedule import Schedule
-from assist.simulation.simulate import simulate
+from assist.team.goal_knowledge import GoalKnowledge
+from assist.team.pool import Pool
 from assist.team.priority import Priority
+from assist.team.schedule import Schedule
+from assist.team.simulate import simulate
 from assist.team.state import TeamPolicy
 from assist.team.whittle import Whittle
 from planner import Instance, Table, load, sweep, sweep_goals

@@ -17,8 +17,8 @@ import click
 import numpy as np
 from tables import Columns, cell, record_option, write_record
 
-from assist.interop.gymnasium import TeamVectorEnv
-from assist.simulation.pool import Pool
+from assist.connect.gymnasium import TeamVectorEnv
+from assist.team.pool import Pool
 from planner import load, sweep
 
 RATE: Columns = {

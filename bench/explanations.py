@@ -19,7 +19,7 @@ import numpy as np
 from tables import Columns, cell, record_option, write_record
 
 from assist.drawing import Artist
-from assist.explain import Contrast, Explanation, contrast
+from assist.live import Contrast, Explanation, contrast
 from assist.people.choices import Choices
 from planner import Table, instance, load, sweep
 

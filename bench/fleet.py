@@ -25,8 +25,8 @@ import click
 import numpy as np
 from tables import cell, record_option, write_record
 
-from assist.coupled import Agents, bound, joint_optimum, policy, simulate
-from assist.coupled.agents import Floats, Ints
+from assist.certify.coupled import Agents, bound, joint_optimum, policy, simulate
+from assist.certify.coupled.agents import Floats, Ints
 
 GOAL = 7
 CELLS = [f"{m}/{m * ratio}" for ratio in (3, 5, 10) for m in (1, 2, 3, 5)]

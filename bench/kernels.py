@@ -25,8 +25,7 @@ import click
 import numpy as np
 from tables import Columns, cell, record_option, write_record
 
-from assist import coupled
-from assist.certify import upper_bound
+from assist.certify import coupled, upper_bound
 from assist.people import Choices, HumanModel
 from assist.people.belief import Grid
 from assist.person import AssistPOMDP, Assumptions, ObservationModel, OfRobots, Setting, qmdp, sparse_iteration
@@ -35,8 +34,8 @@ from assist.person.compliance_relaxation import compliance_bounds
 from assist.person.dynamics import act
 from assist.person.qmdp import _expected_of_few, expected
 from assist.person.solver import solve
-from assist.simulation import Pool, simulate
-from assist.simulation import model_group as groups
+from assist.team import Pool, simulate
+from assist.team import model_group as groups
 from planner import load, sweep
 
 COLUMNS: Columns = {

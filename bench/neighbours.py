@@ -26,11 +26,11 @@ from assist.people.neighbours import Neighbours, SeenOutcome
 from assist.people.ranges import Population
 from assist.people.trust_rules import constant
 from assist.person.settings import Setting
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
-from assist.simulation.trace import Trace
+from assist.team.pool import Pool
 from assist.team.priority import Priority
+from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamPolicy, TeamState
+from assist.team.trace import Trace
 from planner import load, sweep
 
 

@@ -23,8 +23,8 @@ from typing import Any
 import click
 from tables import Columns, cell, record_option, write_record
 
-from assist.reports import write_report
-from assist.study import Study, read, run_study
+from assist.studies import Study, read, run_study
+from assist.studies.reports import write_report
 
 RECORD = Path(__file__).resolve().parent / "records" / "study.json"
 RELATIVE = 1e-6  # processors differ in the last digits

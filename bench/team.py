@@ -28,8 +28,8 @@ from assist.certify.team_bound import upper_bound
 from assist.cli.options.help import Command
 from assist.people.choices import Choices
 from assist.person.settings import Setting
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamPolicy, TeamState
 from planner import load, sweep
 from planner.system.limits import peak_memory_mb, processors

@@ -32,10 +32,10 @@ from assist.cli.options import task
 from assist.cli.output import solve_progress
 from assist.people.choices import Choices
 from assist.person.settings import Setting
-from assist.reports import study_report
-from assist.simulation.pool import Pool
-from assist.study.protocol import read
-from assist.study.study import Study
+from assist.studies.protocol import read
+from assist.studies.reports import study_report
+from assist.studies.study import Study
+from assist.team.pool import Pool
 from planner import Instance, Limits, Table, find_instances, load, sweep
 from planner.grounding import fast_downward
 from planner.pddl import reader, writer
@@ -224,7 +224,7 @@ def small_study(shared_folder: Path) -> tuple[Study, Path, dict]:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not printed.exists():
             draw_first_picture(patched)
-            patched.setattr("assist.study.runner.outcomes", here)
+            patched.setattr("assist.studies.runner.outcomes", here)
             result = invoke("study", "--protocol", write(folder), "--out", folder / "out", "--json")
             assert (result.exit_code, result.stderr) == (0, "")
             printed.write_text(result.stdout)
@@ -259,7 +259,7 @@ def few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let reports of user studies draw no figures, each of which takes half a second."""
-    monkeypatch.setattr("assist.reports.userstudy_report._pictures", lambda *_: iter(()))
+    monkeypatch.setattr("assist.studies.reports.userstudy_report._pictures", lambda *_: iter(()))
 
 
 def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subprocess.CompletedProcess[str]:

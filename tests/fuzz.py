@@ -67,8 +67,8 @@ def here(
 
 def without_processes() -> None:
     """Run in this process the work that commands leave to others."""
-    import assist.reports.study_report
-    import assist.study.runner
+    import assist.studies.reports.study_report
+    import assist.studies.runner
     import assist.web.server
     import planner.batch.solve_batch
     import planner.batch.solve_instance
@@ -100,8 +100,8 @@ def without_processes() -> None:
                 return str(error)
             return None
 
-    planner.batch.solve_batch.outcomes = assist.study.runner.outcomes = here
-    assist.reports.study_report._draw_all = lambda *_: None
+    planner.batch.solve_batch.outcomes = assist.studies.runner.outcomes = here
+    assist.studies.reports.study_report._draw_all = lambda *_: None
     assist.web.server.serve = broken_live.work
     fast_downward.translate = translate_once
     planner.batch.solve_instance.SecondReader = SecondReader

@@ -12,7 +12,7 @@ from gates_records import near
 from assist.certify import BoundOptions, upper_bound
 from assist.person import Setting
 from assist.person.solver import solve
-from assist.simulation import Pool
+from assist.team import Pool
 from planner import LimitError
 
 FEW = BoundOptions(price_rounds=6, price_episodes=100, belief_episodes=200)

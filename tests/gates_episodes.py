@@ -18,10 +18,9 @@ from assist.people.neighbours import Neighbours
 from assist.people.real_people import advice_takers
 from assist.person import ObservationModel, Setting
 from assist.person.robots import Robot
-from assist.simulation import Episodes, Pool, simulate
-from assist.simulation.schedule import Schedule
-from assist.simulation.trace import Trace
-from assist.team import POLICIES
+from assist.team import POLICIES, Episodes, Pool, simulate
+from assist.team.schedule import Schedule
+from assist.team.trace import Trace
 from planner import CostToGo, LimitError, OnDemand, load, sweep, sweep_goals
 
 HUMANS, EPISODES, SEED, PEOPLE = 3, 16, 5, 4

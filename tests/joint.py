@@ -24,7 +24,7 @@ from joint_problem import Ints, JointProblem, check, product_of, written_out
 
 from assist.people.decision import Floats
 from assist.person.travel import Travel
-from assist.simulation.pool import Pool
+from assist.team.pool import Pool
 from assist.team.state import NOBODY
 
 DEPTH = 500

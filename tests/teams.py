@@ -10,9 +10,9 @@ import numpy as np
 from assist.person.beliefs import Seen
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.travel import Travel
-from assist.simulation.episodes import Episodes
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.episodes import Episodes
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import BASE, TeamState
 
 

@@ -11,9 +11,9 @@ from conftest import KITTING
 
 from assist.live.event_base import TeamEvent
 from assist.live.events import kinds
-from assist.userstudy.events import StudyEvent
-from assist.userstudy.plan_file import read
-from assist.userstudy.session import StudySession
+from assist.studies.userstudy.events import StudyEvent
+from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import StudySession
 from planner import Table
 
 Open = Callable[..., StudySession]

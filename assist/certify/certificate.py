@@ -13,9 +13,9 @@ from planner.system.results import Result
 
 from ..people.decision import Floats
 from ..person.travel import Travel
-from ..simulation.pool import Pool
-from ..simulation.simulate import simulate
 from ..team.policies import prepare
+from ..team.pool import Pool
+from ..team.simulate import simulate
 from ..team.state import TeamPolicy
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole
-from ..simulation.pool import Pool, require_pool
-from ..simulation.simulate import SOLVING
 from ..team.policies import by_name
+from ..team.pool import Pool, require_pool
+from ..team.simulate import SOLVING
 from ..team.state import TeamPolicy
 from .certificate import Certificate, Simulated, simulated_until
 from .team_bound import TeamBound, free_attention_bound, members_of, upper_bound

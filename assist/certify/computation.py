@@ -25,7 +25,7 @@ from ..person.attention_subproblem import AttentionSubproblem
 from ..person.policy import Policy
 from ..person.solver import Solution, solve
 from ..person.travel import Travel
-from ..simulation.pool import Pool
+from ..team.pool import Pool
 from .action_prices import needed, paid
 from .envelope import Lifted
 from .options import BoundOptions

@@ -35,7 +35,7 @@ from ..person.attention_subproblem import AttentionSubproblem
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead
-from ..simulation.pool import Pool
+from ..team.pool import Pool
 from ..team.seen import gained
 
 Ints = NDArray[np.int64]

@@ -34,9 +34,9 @@ from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteratio
 from ..person.time_expansion import HERE, TimeExpansion
 from ..person.travel import Travel
 from ..person.truncated_bound import OuterRelaxation, TruncatedProblem, likely
-from ..simulation.pool import Pool
-from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
+from ..team.pool import Pool
+from ..team.simulate import simulate
 from ..team.state import TeamAction, TeamState
 from .action_prices import supply
 from .envelope import Envelope

@@ -57,7 +57,7 @@ from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
 from ..person.memory_needed import MEMORY_LIMIT_MB
 from ..person.travel import Travel
-from ..simulation.pool import Pool, require_pool
+from ..team.pool import Pool, require_pool
 from ..team.priority import Priority
 from ..team.state import TeamPolicy
 from . import sample_paths

@@ -23,7 +23,7 @@ def check(code: str, kind: str | None, as_json: bool) -> None:
     several goals, dead ends, truncated tasks.
     """
     from ..people.user_code import UserCodeError
-    from ..study.own_code import check as tried
+    from ..studies.own_code import check as tried
 
     try:
         found = tried(code, kind)  # type: ignore[arg-type]

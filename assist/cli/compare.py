@@ -39,7 +39,7 @@ def models(
     setting: EstimateSetting, given: Given[EstimateSetting], **options: Any,
 ) -> None:  # fmt: skip
     """Compare choice models: cost alone, and cost with one or all terms, on a LOG of people's actions."""
-    from ..plots import style
+    from ..drawing.plots import style
 
     given.refuse(
         ("goal_prior", "seed", "theta_per_episode", "confidence", "chooses"), "on a comparison of choice models"

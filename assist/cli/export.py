@@ -31,9 +31,9 @@ FORMATS = ("pomdpx", "pomdp")
 @json_option
 def export(person: PersonOptions, form: str | None, out: Path, size_limit: float, as_json: bool) -> None:
     """Write the POMDP of assisting one person to a file for other solvers."""
-    from ..interop import pomdp as flat
-    from ..interop import pomdpx as mixed
-    from ..interop.observed import Observed, action_names, bytes_needed
+    from ..connect import pomdp as flat
+    from ..connect import pomdpx as mixed
+    from ..connect.observed import Observed, action_names, bytes_needed
 
     named = out.suffix.removeprefix(".")
     if named not in ((form,) if form else FORMATS):  # solvers choose the parser by the suffix

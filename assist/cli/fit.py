@@ -74,7 +74,7 @@ def fit(
     LOG has one line of JSON for each action: {"person": "...", "episode": "...", "step": 0, "action": "(name arg ...)",
     "suggestion": "(...)" or null}. A CSV file with these columns is accepted too. --advice takes the place of both.
     """
-    from ..plots import style
+    from ..drawing.plots import style
 
     if family and as_json and not population:
         raise click.UsageError("--family: expected --write-population, since with --json it has no effect otherwise")

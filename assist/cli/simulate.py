@@ -31,7 +31,7 @@ class Written(NamedTuple):
 
     def require(self, inputs: Mapping[str, Path | None]) -> None:
         """Refuse files that are not apart from each other and the inputs, and options that lack another."""
-        from ..plots import style
+        from ..drawing.plots import style
 
         separate_files({"--out": self.out, "--trace": self.trace, "--figure": self.figure}, inputs)
         if self.reasons and self.trace is None:
@@ -71,15 +71,15 @@ def simulate(
 ) -> None:
     """Simulate a team of people and a robot that assists them, and compare policies."""
     from ..declare.declared import plain
+    from ..drawing.plots import style
+    from ..drawing.plots.episode import episode_figure
     from ..live.trace_reasons import TraceReasons
-    from ..plots import style
-    from ..plots.episode import episode_figure
-    from ..reports.policy_comparison import comparison_of
-    from ..simulation.episode import plain_summary
-    from ..simulation.episodes import Episodes
-    from ..simulation.illustration import Illustration
-    from ..simulation.simulate import simulate as run
+    from ..studies.reports.policy_comparison import comparison_of
+    from ..team.episode import plain_summary
+    from ..team.episodes import Episodes
+    from ..team.illustration import Illustration
     from ..team.policies import UserPolicy
+    from ..team.simulate import simulate as run
     from .output.episode_summaries import show_comparison
 
     setting, humans, seed = team.setting, team.humans, team.seed

@@ -42,10 +42,10 @@ def study(
     from planner.system.errors import InputFileError
 
     from ..people.user_code import UserCodeError
-    from ..reports.study_report import cost_notes, headline, limit_notes, require, write_report
-    from ..study.cells import check
-    from ..study.protocol import read
-    from ..study.runner import run_study
+    from ..studies.cells import check
+    from ..studies.protocol import read
+    from ..studies.reports.study_report import cost_notes, headline, limit_notes, require, write_report
+    from ..studies.runner import run_study
 
     say = partial(click.echo, err=True)
     with one_line_errors("interrupted; finished parts are saved, --resume continues"):

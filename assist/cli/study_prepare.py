@@ -19,7 +19,7 @@ from .terminal.console import ExitCode, fail, note, print_json
 from .user_study import public_url_option
 
 if TYPE_CHECKING:
-    from ..userstudy.plan import UserStudy
+    from ..studies.userstudy.plan import UserStudy
 
 
 @command("study-prepare study.toml --data pilot", "study-prepare")
@@ -40,8 +40,8 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
     """
     from planner.system.errors import InputFileError, ResultsExistError
 
-    from ..reports.preregistration import register
-    from ..userstudy.plan_file import read
+    from ..studies.reports.preregistration import register
+    from ..studies.userstudy.plan_file import read
 
     if check and links is not None:
         raise click.UsageError("--check cannot be combined with --links")
@@ -78,7 +78,7 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
 
 def _remarks(study: UserStudy) -> Iterator[str]:
     """Yield what is possible, but hardly meant: unequal groups, and policies that hardly assist."""
-    from ..userstudy.forecast import seldom_assisted
+    from ..studies.userstudy.forecast import seldom_assisted
 
     orders, size = len(study.orders), 1 if study.group is None else study.group.size
     if study.participants is not None and study.participants % (orders * size):
@@ -97,7 +97,7 @@ def _remarks(study: UserStudy) -> Iterator[str]:
 
 def _ids(file: Path, longest: int = 100) -> list[str]:
     """Return the IDs in a file, one a line; empty lines are left out."""
-    from ..userstudy.codes import identifier
+    from ..studies.userstudy.codes import identifier
 
     try:
         lines = [identifier(line) for line in file.read_text(encoding="utf-8-sig").splitlines()]

@@ -23,8 +23,8 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     """
     from planner.system.errors import InputFileError
 
-    from ..reports.userstudy_report import headline, notes, require, write_report
-    from ..userstudy.session import REPORT
+    from ..studies.reports.userstudy_report import headline, notes, require, write_report
+    from ..studies.userstudy.session import REPORT
 
     require()
     out = out or folder / REPORT

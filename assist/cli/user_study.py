@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from planner import CostToGo
 
-    from ..userstudy.plan import UserStudy
+    from ..studies.userstudy.plan import UserStudy
     from ..web.request_limits import Networks
     from ..web.user_study.service import StudyService
 
@@ -121,7 +121,7 @@ def conduct(
         from planner.system.errors import InputFileError
 
         from ..people.user_code import UserCodeError
-        from ..userstudy.plan_file import read
+        from ..studies.userstudy.plan_file import read
         from ..web.user_study import server as serving
     except ImportError as error:
         raise MissingExtraError("user studies need", str(error.name), "study") from None
@@ -179,9 +179,9 @@ def _report(folder: Path) -> None:
     """Write the export and the report of a rehearsal."""
     from planner.system.files import atomic
 
-    from ..reports.userstudy_report import notes, write_report
-    from ..userstudy.export import archive
-    from ..userstudy.session import EXPORT, REPORT
+    from ..studies.reports.userstudy_report import notes, write_report
+    from ..studies.userstudy.export import archive
+    from ..studies.userstudy.session import EXPORT, REPORT
 
     with atomic(folder / EXPORT) as path:
         path.write_bytes(archive(folder))

@@ -1,3 +1,9 @@
+from .catalogue import Catalogue as Catalogue
+from .catalogue import catalogue as catalogue
+from .catalogue import languages as languages
 from .declared import DeclarationError as DeclarationError
 from .declared import declared as declared
 from .declared import plain as plain
+from .refusals import AbsentError as AbsentError
+from .refusals import InapplicableError as InapplicableError
+from .refusals import Refusal as Refusal

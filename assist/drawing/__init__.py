@@ -1,4 +1,4 @@
-"""Pictures of tasks, plans and episodes, for any domain."""
+"""Pictures of tasks, plans and episodes, for any domain; `plots` has figures of results (extra `plots`)."""
 
 from lazy_loader import attach_stub
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from planner.system.files import atomic
 
+from ..declare.catalogue import FIRST, catalogue
 from ..people.action_names import words_of
-from ..texts.catalogue import FIRST, catalogue
 from . import svg
 from .layout import GAP, Arranger, Layout, label, label_rows
 from .profile import Profile

@@ -39,9 +39,9 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
+from ..declare.catalogue import FIRST, TAG, Catalogue, catalogue, languages
 from ..declare.declared import Count, Expected, Text, Truth, declared
 from ..declare.tables import convert, fault, load, located
-from ..texts.catalogue import FIRST, TAG, Catalogue, catalogue, languages
 from .subject import Atom, Subject, atom, is_number
 
 FILE = "drawing.toml"

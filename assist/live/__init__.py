@@ -1,4 +1,4 @@
-"""The live assistant: one team of real people, action by action."""
+"""The live assistant: one team of real people, action by action, with explanations of its suggestions."""
 
 from lazy_loader import attach_stub
 

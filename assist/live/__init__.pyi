@@ -3,6 +3,9 @@ from .advice import PersonState as PersonState
 from .advice import Question as Question
 from .advice import Reason as Reason
 from .assistant import Assistant as Assistant
+from .contrast import Consequence as Consequence
+from .contrast import Contrast as Contrast
+from .contrast import contrast as contrast
 from .event_base import Event as Event
 from .events import Acted as Acted
 from .events import Answered as Answered
@@ -14,6 +17,13 @@ from .events import Left as Left
 from .events import Paused as Paused
 from .events import Rearranged as Rearranged
 from .events import Undone as Undone
+from .explanation import Explanation as Explanation
+from .explanation import Prospect as Prospect
+from .explanation import Sight as Sight
+from .explanation import WhyNothing as WhyNothing
+from .explanation import WhyPerson as WhyPerson
+from .explanation import WhyQuestion as WhyQuestion
+from .explanation import WhyStep as WhyStep
 from .history import Outlook as Outlook
 from .people_store import PeopleStore as PeopleStore
 from .record import TeamRecord as TeamRecord

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
-from ..explain.explanation import Explanation
 from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.hidden_type import HiddenType
 from ..people.spread import Spread
+from .explanation import Explanation
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..declare.refusals import InapplicableError
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import NOTHING
 from ..people.spread import Spread
@@ -24,7 +25,6 @@ from ..person.settings import Setting
 from ..person.ties import first_best
 from ..team.questions import GoalQuestion
 from ..team.state import worth_of_actions
-from ..texts.refusals import InapplicableError
 from .advice import Reason
 from .roster import Roster, RosterEntry, Step, Told
 from .seen_suggestions import see

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 
-from ..explain.contrast import Contrast, contrast
-from ..explain.explanation import Cause, Explanation, Prospect, Sight, WhyNothing, WhyPerson, WhyQuestion, WhyStep
+from ..declare.refusals import InapplicableError
 from ..people.choices import Choices
 from ..people.decision import Floats, same_cost
 from ..people.neighbourhood import Neighbourhood
@@ -28,8 +27,9 @@ from ..person.settings import Setting
 from ..person.ties import first_best
 from ..team.outlook import outlook
 from ..team.state import BASE, TeamState, by_model, worth_of_actions
-from ..texts.refusals import InapplicableError
 from .advice import Question
+from .contrast import Contrast, contrast
+from .explanation import Cause, Explanation, Prospect, Sight, WhyNothing, WhyPerson, WhyQuestion, WhyStep
 from .live_task import LiveTask
 from .roster import Roster
 

@@ -10,15 +10,15 @@ from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
-from ..explain.explanation import Explanation
+from ..declare.refusals import AbsentError, InapplicableError, Refusal
 from ..people.action_names import in_pddl
 from ..people.goals import Goals
 from ..person.policy import Policy
 from ..person.travel import Travel
 from ..team.state import BASE
-from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .advice import Advice, PersonState, Question
 from .beliefs import likeliest_cost_to_go, worth_of_asking
+from .explanation import Explanation
 from .knowledge import Knowledge
 from .names import is_name
 from .uncertain_actions import seen_of

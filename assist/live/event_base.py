@@ -3,7 +3,7 @@
 A class declares the fields of the event, and where it is reported over HTTP. `recorded` checks that it is possible now
 and completes it; `change` is what it does to a team, also when a record is applied again; `remains` is what is kept of
 it when a person's records are erased; `take_back` undoes it, which people ask for with `Undone`. The kinds are in
-`assist.live.events`, and those of studies in `assist.userstudy.events`.
+`assist.live.events`, and those of studies in `assist.studies.userstudy.events`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pydantic import (
 )
 
 from ..declare.declared import DeclarationError, Expected, Whole
-from ..texts.refusals import Refusal
+from ..declare.refusals import Refusal
 from .names import name_of
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field
 
 from ..declare.declared import Expected, Number, Truth, Whole
-from ..texts.refusals import InapplicableError, Refusal
+from ..declare.refusals import InapplicableError, Refusal
 from .event_base import INTERNAL, Action, Event, Kept, Name, OfPerson, Seq, TeamEvent
 
 if TYPE_CHECKING:

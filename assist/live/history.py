@@ -10,10 +10,10 @@ from typing import Any, Generic, TypeVar
 
 from planner import CostToGo
 
-from ..explain.explanation import Explanation
 from ..people.goals import Goals
 from .advice import Advice
 from .event_base import Event
+from .explanation import Explanation
 from .record import Record
 
 R = TypeVar("R", bound=Record)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
+from ..declare.refusals import InapplicableError, Refusal
 from ..people.decision import NOTHING
 from ..people.goals import Goals
 from ..people.ranges import Population
@@ -22,7 +23,6 @@ from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..person.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy
-from ..texts.refusals import InapplicableError, Refusal
 from .advice import Advice
 from .beliefs import (
     begin_task,

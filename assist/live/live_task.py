@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 
+from ..declare.refusals import InapplicableError, Refusal
 from ..drawing.picture import Artist
 from ..people.action_names import Matcher, UnmatchedError, Words, words_of
 from ..people.arguments import require_goal
@@ -30,7 +31,6 @@ from ..person.policy import Policy
 from ..person.qmdp import qmdp
 from ..person.settings import Setting
 from ..person.truncated_policy import SharedTask, TruncatedPolicy
-from ..texts.refusals import InapplicableError, Refusal
 
 
 class LiveTask:

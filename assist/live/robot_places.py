@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..declare.refusals import Refusal
 from ..people.decision import Floats
 from ..person.settings import Setting
 from ..person.travel import Travel
 from ..team.assignment import placed
 from ..team.state import BASE
-from ..texts.refusals import Refusal
 
 
 class RobotPlaces:

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..declare.refusals import AbsentError
 from ..people.decision import Floats
 from ..person.beliefs import Ask
 from ..person.hidden_beliefs import Hidden
 from ..person.joint_belief import JointBelief, is_certain
 from ..team.state import by_model
-from ..texts.refusals import AbsentError
 from .advice import Question, Reason
 from .live_task import LiveTask
 

@@ -28,11 +28,11 @@ from numpy.typing import ArrayLike
 from planner import CostToGo
 from planner.system.errors import InputFileError, ResultsExistError
 
+from ..declare.refusals import AbsentError, InapplicableError, Refusal
 from ..people.goals import Goals
 from ..people.ranges import Population
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
-from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .advice import Advice
 from .event_base import Event
 from .events import Joined, Vacant

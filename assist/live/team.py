@@ -19,17 +19,17 @@ from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
-from ..explain.explanation import Explanation, WhyNothing
+from ..declare.refusals import AbsentError, Refusal
 from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.ranges import Population
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
-from ..texts.refusals import AbsentError, Refusal
 from .advice import Advice, PersonState, Reason
 from .desk import IDLE, Desk
 from .event_base import Event, TeamEvent
 from .events import Elapsed, Left, kinds
+from .explanation import Explanation, WhyNothing
 from .history import Change, History
 from .live_task import require_usable
 from .names import is_name

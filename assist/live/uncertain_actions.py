@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..declare.refusals import InapplicableError, Refusal
 from ..people.arguments import number
 from ..people.belief import ImpossibleObservationError
 from ..people.choices import Choices
@@ -18,7 +19,6 @@ from ..person.hidden_beliefs import Glimpse, PerhapsMissed, Reported
 from ..person.joint_belief import JointBelief
 from ..person.observation_model import ObservationModel
 from ..person.settings import Setting
-from ..texts.refusals import InapplicableError, Refusal
 from .live_task import LiveTask
 from .roster import RosterEntry, Step
 

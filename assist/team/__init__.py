@@ -1,4 +1,4 @@
-"""Several people and robots: the state that a policy receives, the policies, and one step of a team."""
+"""Several people and robots: what a policy receives, the policies, one step of a team, and simulated episodes."""
 
 from lazy_loader import attach_stub
 

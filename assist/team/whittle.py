@@ -3,7 +3,7 @@
 The Whittle index of a person is the constant price of a step of attention at which the robot's presence is no longer
 worth it in this step (Whittle, "Restless bandits: activity allocation in a changing world", 1988). Here a person's
 state is not fully observed. As in QMDP, the advantage of presence is averaged over the belief before the price is
-determined. `assist.coupled.whittle` computes exact indices of problems that are given as arrays.
+determined. `assist.certify.coupled.whittle` computes exact indices of problems that are given as arrays.
 """
 
 from __future__ import annotations

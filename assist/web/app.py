@@ -19,9 +19,9 @@ from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from planner import LimitError
 
+from ..declare.catalogue import catalogue
+from ..declare.refusals import Refusal
 from ..live.store import JournalError
-from ..texts.catalogue import catalogue
-from ..texts.refusals import Refusal
 from . import event_routes, metrics, page_routes, routes, streams
 from .request_limits import Allowance, Guard, Networks
 from .service import Service

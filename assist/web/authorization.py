@@ -11,8 +11,8 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
 
+from ..declare.refusals import AbsentError, Refusal
 from ..live.names import name_of
-from ..texts.refusals import AbsentError, Refusal
 from .schemas import Problem
 from .service import Service
 from .tokens import Caller

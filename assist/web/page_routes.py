@@ -12,9 +12,9 @@ from pathlib import Path
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse, HTMLResponse
 
+from ..declare.catalogue import Catalogue, catalogue
+from ..declare.refusals import AbsentError
 from ..drawing import svg
-from ..texts.catalogue import Catalogue, catalogue
-from ..texts.refusals import AbsentError
 
 PAGES = Path(__file__).parent / "pages"
 SECTIONS = ("page", "task", "study", "question")

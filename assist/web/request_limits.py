@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..texts.catalogue import Catalogue, catalogue
+from ..declare.catalogue import Catalogue, catalogue
 from . import cookies
 from .tokens import VISITOR, AccessTokens, Caller
 

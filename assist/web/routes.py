@@ -9,9 +9,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse
 
+from ..declare.catalogue import languages
+from ..declare.refusals import AbsentError, Refusal
 from ..live.names import LONGEST_REASON
-from ..texts.catalogue import languages
-from ..texts.refusals import AbsentError, Refusal
 from . import cookies
 from .authorization import READ, Desk, Operator, Own, bearer, refusals
 from .schemas import Drawn, Erased, Explained, Health, Me, Person, Reloaded, Robot, Team

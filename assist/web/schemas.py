@@ -6,9 +6,9 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
-from ..explain.contrast import Consequence
-from ..explain.explanation import WhyNothing, WhyPerson
 from ..live.advice import Reason
+from ..live.contrast import Consequence
+from ..live.explanation import WhyNothing, WhyPerson
 
 
 class Erased(BaseModel):

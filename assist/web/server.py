@@ -22,6 +22,8 @@ from starlette.types import ASGIApp
 from planner import CostToGo
 from planner.system.errors import ResultsExistError
 
+from ..declare.catalogue import Catalogue
+from ..declare.refusals import InapplicableError, Refusal
 from ..live.event_base import TeamEvent
 from ..live.events import Acted, Answered, Elapsed, Joined
 from ..live.people_store import PeopleStore
@@ -33,8 +35,6 @@ from ..people.ranges import Population
 from ..person.observation_model import ObservationModel
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
-from ..texts.catalogue import Catalogue
-from ..texts.refusals import InapplicableError, Refusal
 from . import connections
 from .app import END_STREAMS, make_app
 from .request_limits import Networks

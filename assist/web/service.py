@@ -24,14 +24,14 @@ from typing import Any, ClassVar, Protocol
 
 from pydantic import BaseModel
 
-from ..explain.explanation import Explanation
+from ..declare.catalogue import Catalogue, catalogue
+from ..declare.refusals import AbsentError, InapplicableError, Refusal
 from ..live.event_base import Event, TeamEvent
 from ..live.events import Elapsed
+from ..live.explanation import Explanation
 from ..live.history import Outlook
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
-from ..texts.catalogue import Catalogue, catalogue
-from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .measures import Measures
 from .schemas import Person, Place, Robot
 from .tokens import AccessTokens

@@ -16,7 +16,7 @@ from fastapi import APIRouter
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from ..texts.refusals import Refusal
+from ..declare.refusals import Refusal
 from .authorization import READ, Desk, Operator, Own, refusals
 from .service import Service
 from .watchers import Watcher, streamed

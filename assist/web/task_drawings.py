@@ -8,9 +8,9 @@ from typing import Any
 
 from planner import CostToGo
 
+from ..declare.catalogue import FIRST
 from ..drawing import Artist
 from ..people.goals import Goals, first_of
-from ..texts.catalogue import FIRST
 
 
 class Pictures:

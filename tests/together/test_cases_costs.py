@@ -14,8 +14,8 @@ from conftest import graph_task, invoke, write_instance
 
 from assist.certify.prices import window_of
 from assist.people.choices import Choices
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from planner import Table, sweep
 
 pytestmark = pytest.mark.cases

@@ -16,15 +16,15 @@ from sessions import EASY, SETTING
 from test_live_web import Web
 from test_mqtt import SETTINGS, Broker, Here, broker, settings_file
 
-from assist.bridges.mqtt_settings import MqttSettings
-from assist.bridges.ordering import FAR, InOrder
+from assist.connect.bridges.mqtt_settings import MqttSettings
+from assist.connect.bridges.ordering import FAR, InOrder
+from assist.declare import Refusal
 from assist.live import Assistant, Session
 from assist.live.events import Acted, Elapsed
 from assist.live.names import is_name, name_of
 from assist.live.store import JournalError
 from assist.people.action_names import in_pddl
 from assist.person.settings import Setting
-from assist.texts import Refusal
 from assist.web.server import ServedTeam
 from planner import Table
 from planner.system.errors import InputFileError, ResultsExistError

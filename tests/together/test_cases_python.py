@@ -15,6 +15,7 @@ from recorded import lines
 from assist import Assistant, Pool, fit, simulate
 from assist.certify import certify, upper_bound
 from assist.drawing import draw
+from assist.drawing.plots import expertise_figure
 from assist.learning import (
     Log,
     LogError,
@@ -29,7 +30,6 @@ from assist.learning import (
 )
 from assist.people import TERMS, Choices
 from assist.person.person_problem import PersonProblem
-from assist.plots import expertise_figure
 from planner import OnDemand, astar, cost_to_go, load, sweep, sweep_goals
 
 pytestmark = pytest.mark.cases

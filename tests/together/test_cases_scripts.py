@@ -19,12 +19,12 @@ from test_userstudy_pages import PATIENCE
 from userstudies import PLAN, SCORES, Part, written
 
 from assist.drawing import Artist, plan_frames, save
-from assist.reports.report_files import html_page
-from assist.reports.study_report import Report
-from assist.reports.userstudy_report import write_report
-from assist.study.study import Study
-from assist.userstudy.plan_file import read
-from assist.userstudy.session import StudySession
+from assist.studies.reports.report_files import html_page
+from assist.studies.reports.study_report import Report
+from assist.studies.reports.userstudy_report import write_report
+from assist.studies.study import Study
+from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import StudySession
 from planner import Table, load
 from planner.system.results import markdown_cell, markdown_table
 

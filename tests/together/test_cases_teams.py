@@ -15,8 +15,8 @@ from studies import write
 
 from assist import Pool, simulate
 from assist.cli import main
-from assist.interop import pomdp, pomdpx
-from assist.interop.observed import Observed, bytes_needed
+from assist.connect import pomdp, pomdpx
+from assist.connect.observed import Observed, bytes_needed
 from assist.live import TraceReasons
 from assist.people.choices import Choices
 from assist.people.human import HumanModel
@@ -27,12 +27,12 @@ from assist.person import solver as person_solver
 from assist.person.qmdp import QMDP, qmdp
 from assist.person.robots import OfRobots
 from assist.person.settings import Setting
-from assist.reports import study_report
-from assist.reports.study_report import write_report
-from assist.simulation.episode import plain_summary
-from assist.study import cells
-from assist.study.protocol import read
-from assist.study.runner import load_study, run_study
+from assist.studies import cells
+from assist.studies.protocol import read
+from assist.studies.reports import study_report
+from assist.studies.reports.study_report import write_report
+from assist.studies.runner import load_study, run_study
+from assist.team.episode import plain_summary
 from assist.team.policies import UserPolicy
 from assist.team.state import TeamAction, TeamState
 from planner import Table
@@ -114,7 +114,7 @@ def test_commands_say_that_no_suggestion_was_worth_its_cost() -> None:
 
 def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(study_report, "_draw_all", lambda *_: None)
-    monkeypatch.setattr("assist.study.runner.outcomes", here)
+    monkeypatch.setattr("assist.studies.runner.outcomes", here)
     study = read(write(tmp_path, STUDY))
     out = tmp_path / "out"
     assert run_study(study, out) == []
@@ -216,7 +216,7 @@ def test_ctrl_c_leaves_the_policies_that_were_simulated(tmp_path: Path, monkeypa
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("assist.simulation.illustration.Illustration.of", stop)
+        patch.setattr("assist.team.illustration.Illustration.of", stop)
         interrupted("--figure", figure)
     assert not figure.exists()
     monkeypatch.setattr("assist.team.attention.AttentionSwitching.prepare", stop)
@@ -304,7 +304,7 @@ def test_ctrl_c_leaves_a_bound_on_what_was_computed(stage: str, monkeypatch: pyt
 def test_a_study_that_fails_before_its_first_episode_does_not_block_the_corrected_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("assist.study.runner.outcomes", here)
+    monkeypatch.setattr("assist.studies.runner.outcomes", here)
     monkeypatch.setattr(study_report, "_draw_all", lambda *_: None)
     own, out = tmp_path / "own.py", tmp_path / "out"
     own.write_text("def mine(team):\n    return 7\n")
@@ -321,7 +321,7 @@ def test_a_study_that_fails_before_its_first_episode_does_not_block_the_correcte
 
 
 def test_a_study_says_that_its_episodes_were_cut_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("assist.study.runner.outcomes", here)
+    monkeypatch.setattr("assist.studies.runner.outcomes", here)
     monkeypatch.setattr(study_report, "_draw_all", lambda *_: None)
     for limit, cut in ((7, True), (500, False)):
         text = STUDY.partition("[[conditions]]")[0].replace("repeats = 2", "repeats = 3")
@@ -417,7 +417,7 @@ def test_what_a_policy_of_ones_own_should_return_is_said(robots: int, tiny: Tabl
         assert "UserCodeError" not in str(raised.value)
 
 
-TEAM = "assist.interop.gymnasium:kitassist/Team-v0"
+TEAM = "assist.connect.gymnasium:kitassist/Team-v0"
 
 
 def idle_returns(env: Any, episodes: int, seed: int) -> list[float]:
@@ -462,7 +462,7 @@ def test_the_episodes_of_an_environment_are_those_of_the_command(tmp_path: Path)
     many = gymnasium.make_vec(TEAM, num_envs=4, instance=TINY, humans=2)
     many.reset(seed=1)
     assert betas(many.unwrapped.pool) == people
-    agents = pytest.importorskip("assist.interop.pettingzoo").parallel_env(TINY, humans=2)
+    agents = pytest.importorskip("assist.connect.pettingzoo").parallel_env(TINY, humans=2)
     agents.reset(seed=1)
     assert betas(agents.pool) == people
     assert gymnasium.make(TEAM, instance=TINY, humans=14).unwrapped.pool.model.shape == (14,)  # as in the command
@@ -470,7 +470,7 @@ def test_the_episodes_of_an_environment_are_those_of_the_command(tmp_path: Path)
 
 def test_environments_refuse_what_has_no_effect(tiny: Table) -> None:
     gymnasium = pytest.importorskip("gymnasium")
-    pool, parallel_env = Pool.sample(tiny, 2, seed=1), pytest.importorskip("assist.interop.pettingzoo").parallel_env
+    pool, parallel_env = Pool.sample(tiny, 2, seed=1), pytest.importorskip("assist.connect.pettingzoo").parallel_env
     for options, error, words in (
         ({"setting": Setting(c_ask=0.1)}, ValueError, "c_ask 0.1 has no effect without several goals; expected None"),
         ({"setting": Setting(ask_error=0.1)}, ValueError, "ask_error 0.1 has no effect without c_ask; expected 0"),

@@ -24,8 +24,8 @@ from assist.cli import main
 from assist.live import Acted, Joined, Session
 from assist.live.store import JournalError, stored
 from assist.person.settings import Setting
-from assist.userstudy.plan_file import read
-from assist.userstudy.session import JOURNAL, StudySession
+from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import JOURNAL, StudySession
 from assist.web.server import listen
 from planner import Table
 

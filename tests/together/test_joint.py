@@ -24,8 +24,8 @@ from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.person.travel import Travel
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import NOBODY
 
 pytestmark = pytest.mark.slow  # the solver of `joint` takes long to compile; `test_bounds` has other optima

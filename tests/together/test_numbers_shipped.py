@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from conftest import invoke
 
-from assist.interop.observed import Observed
+from assist.connect.observed import Observed
 from assist.people import HumanModel
 from assist.people.choices import Choices
 from assist.person import AssistPOMDP
@@ -98,7 +98,7 @@ def test_an_environment_is_stepped_through(name: str, table: Table) -> None:
     pytest.importorskip("gymnasium")
     from gymnasium.utils.env_checker import check_env
 
-    from assist.interop.gymnasium import TeamEnv
+    from assist.connect.gymnasium import TeamEnv
 
     env = TeamEnv(instance=name, humans=2)
     check_env(env, skip_render_check=True)

@@ -20,11 +20,10 @@ from hypothesis import strategies as st
 from teams import equal, run
 
 from assist import Pool
+from assist.connect.observed import Observed
 from assist.drawing import Artist, plan_frames, read_state, save
 from assist.drawing.raster import png
-from assist.explain import Explanation, contrast
-from assist.interop.observed import Observed
-from assist.live import Session
+from assist.live import Explanation, Session, contrast
 from assist.people import HumanModel, Population
 from assist.people.choices import Choices
 from assist.person import AssistPOMDP, Setting, qmdp
@@ -178,7 +177,7 @@ def test_exported_names_are_those_of_the_file(files: Instance, mixing: Table, tm
 
 def test_an_environments_reward_is_in_the_files_unit(files: Instance, mixing: Table) -> None:
     pytest.importorskip("gymnasium")
-    from assist.interop.gymnasium import TeamEnv
+    from assist.connect.gymnasium import TeamEnv
 
     env = TeamEnv(instance=str(files.problem), humans=2, render_mode="svg")
     seen, _ = env.reset(seed=1)

@@ -18,11 +18,12 @@ from recorded import log_of
 from teams import equal, run, state
 from test_qmdp import make
 
+from assist.connect.gymnasium import TeamEnv, TeamVectorEnv
+from assist.connect.pettingzoo import parallel_env
+from assist.connect.teams import Teams
+from assist.declare import InapplicableError
 from assist.drawing.frames import episode_frames
 from assist.drawing.picture import Artist
-from assist.interop.gymnasium import TeamEnv, TeamVectorEnv
-from assist.interop.pettingzoo import parallel_env
-from assist.interop.teams import Teams
 from assist.learning import comparison, logit_likelihood, population, replayed
 from assist.learning.fit import fit
 from assist.learning.log import Log, LogError
@@ -47,14 +48,13 @@ from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.travel import Travel
-from assist.simulation.common_random_numbers import BLOCK
-from assist.simulation.pool import Pool
-from assist.simulation.schedule import Schedule
-from assist.simulation.simulate import simulate
+from assist.studies.userstudy.questionnaires import Item, Questionnaire
 from assist.team.action_check import check
+from assist.team.common_random_numbers import BLOCK
+from assist.team.pool import Pool
+from assist.team.schedule import Schedule
+from assist.team.simulate import simulate
 from assist.team.state import TeamAction
-from assist.texts import InapplicableError
-from assist.userstudy.questionnaires import Item, Questionnaire
 from assist.web import request_limits
 from assist.web.client import Client
 from assist.web.tokens import AccessTokens
@@ -352,7 +352,7 @@ def test_a_service_forgets_who_has_not_called_for_longest() -> None:
 
 
 def test_episodes_in_threads_are_the_same(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module("assist.simulation.simulate"), "PEOPLE_AT_A_TIME", 1)
+    monkeypatch.setattr(import_module("assist.team.simulate"), "PEOPLE_AT_A_TIME", 1)
     alone = run(pool, "reactive", 2, 3 * BLOCK, 5)
     assert equal(run(pool, "reactive", 2, 3 * BLOCK, 5, jobs=2), alone)
 

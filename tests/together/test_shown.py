@@ -16,7 +16,7 @@ from assist.people.human import HumanModel
 from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
-from assist.simulation.episodes import Episodes
+from assist.team.episodes import Episodes
 from planner import OnDemand, Table
 from planner.system.arrays import outline
 from planner.system.errors import MissingExtraError

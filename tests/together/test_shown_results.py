@@ -27,8 +27,8 @@ from assist.learning import (
 from assist.people import Choices, HumanModel
 from assist.person import AssistPOMDP, solve
 from assist.person.robots import OfRobots
-from assist.reports import Report
-from assist.study import Study
+from assist.studies import Study
+from assist.studies.reports import Report
 from planner import cost_to_go
 from planner.system.results import MOST_ROWS, html_table, same
 

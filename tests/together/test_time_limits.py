@@ -12,13 +12,13 @@ import pytest
 from conftest import KITTING
 
 from assist import Pool, compare, fit, simulate
-from assist.coupled import Agents, bound, joint_optimum, sampled_bound
-from assist.coupled import certify as certify_coupled
-from assist.coupled import simulate as simulate_coupled
+from assist.certify.coupled import Agents, bound, joint_optimum, sampled_bound
+from assist.certify.coupled import certify as certify_coupled
+from assist.certify.coupled import simulate as simulate_coupled
 from assist.learning import Method, Observations, compare_models, compare_rules, fit_population, observed
 from assist.people import TERMS
 from assist.person import qmdp
-from assist.study import run_study
+from assist.studies import run_study
 from planner import LimitError, load, sweep, sweep_goals
 from planner.system.limits import Deadline
 

@@ -25,8 +25,8 @@ from assist.people.hidden_type import HiddenType
 from assist.person import AssistPOMDP, Setting, qmdp
 from assist.person.beliefs import Seen
 from assist.person.robots import OfRobots
-from assist.simulation import Pool, simulate
-from assist.simulation.belief_trace import Watched
+from assist.team import Pool, simulate
+from assist.team.belief_trace import Watched
 from assist.team.questions import GoalQuestion, Questions, benefit
 from planner import LimitError, Table, sweep, sweep_goals
 from planner.system.errors import ResultsExistError

@@ -15,8 +15,8 @@ from planner import Instance, InstanceError, find_instances
 from planner.batch.results_folder import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
+from ...declare.catalogue import catalogue
 from ...declare.options import Given, setting_options
-from ...texts.catalogue import catalogue
 from .common import Command, Option, data_option, domain_option, humans_option, with_options
 from .config import ENVIRONMENT, read_config
 from .goals import check_questions, goals_option, several_goals
@@ -29,7 +29,7 @@ from .travel import travel_of
 if TYPE_CHECKING:
     from planner import CostToGo
 
-    from ...bridges.transport import Transport
+    from ...connect.bridges.transport import Transport
     from ...live.event_base import TeamEvent
     from ...live.session import Session
     from ...people.goals import Goals
@@ -204,7 +204,7 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
         table = next((name for name in TRANSPORTS if name in tables), "broker")
         protocol, extra = TRANSPORTS[table]
         try:
-            from ...bridges import kernel  # noqa: F401  which needs a client of HTTP
+            from ...connect.bridges import kernel  # noqa: F401  which needs a client of HTTP
 
             return partial(_bridge, _transport(table, file, robots))
         except MissingExtraError:
@@ -218,20 +218,20 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
 def _transport(table: str, file: Path, robots: int) -> Callable[[], Transport]:
     """Read the settings of a bridge; return a function that makes its transport."""
     if table == "rosbridge":
-        from ...bridges.ros2 import Ros2
-        from ...bridges.ros2_settings import Ros2Settings
+        from ...connect.bridges.ros2 import Ros2
+        from ...connect.bridges.ros2_settings import Ros2Settings
 
         return partial(Ros2, Ros2Settings.read(file, robots), robots)
     if table in ("own_server", "server"):
-        from ...bridges import opcua, opcua_server
-        from ...bridges.opcua_settings import OpcUaSettings, OwnServerSettings
+        from ...connect.bridges import opcua, opcua_server
+        from ...connect.bridges.opcua_settings import OpcUaSettings, OwnServerSettings
 
         opcua.library()
         if table == "own_server":
             return partial(opcua_server.OwnServer, OwnServerSettings.read(file), robots)
         return partial(opcua.OpcUa, OpcUaSettings.read(file))
-    from ...bridges import mqtt
-    from ...bridges.mqtt_settings import MqttSettings
+    from ...connect.bridges import mqtt
+    from ...connect.bridges.mqtt_settings import MqttSettings
 
     mqtt.library()
     settings = MqttSettings.read(file, robots)
@@ -240,8 +240,8 @@ def _transport(table: str, file: Path, robots: int) -> Callable[[], Transport]:
 
 
 def _bridge(transport: Callable[[], Transport], link: str, **options: Any) -> Bridge:
-    """Return the bridge of a transport, given the operator's link and options as in `assist.bridges.Bridge`."""
-    from ...bridges import kernel
+    """Return the bridge of a transport, given the operator's link and options as in `assist.connect.bridges.Bridge`."""
+    from ...connect.bridges import kernel
 
     return kernel.Bridge(transport(), link, **options)
 

@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field
 
 from planner.batch.results_folder import SolveOptions
 
+from ...declare.catalogue import FIRST
 from ...declare.declared import (
     Beside,
     Count,
@@ -30,7 +31,6 @@ from ...people.ranges import Population
 from ...people.real_people import advice_takers
 from ...people.user_code import function_beside
 from ...person.settings import Setting
-from ...texts.catalogue import FIRST
 
 T = TypeVar("T")
 

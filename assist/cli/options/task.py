@@ -43,7 +43,7 @@ def table_of(instance: Instance) -> Table:
     """Return the cost-to-go table of an instance. An instance that cannot be used ends the command with one line."""
     from planner.system.errors import InputFileError
 
-    from ...study import tasks
+    from ...studies import tasks
 
     tell_of_compiling()
     try:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ...people.goals import Goals
     from ...people.ranges import Population
     from ...person.travel import Travel
-    from ...simulation.pool import Pool
+    from ...team.pool import Pool
     from ...team.state import TeamPolicy
 
 
@@ -81,7 +81,7 @@ def team_of(team: TeamOptions, size: int, goals: Goals | None = None) -> TeamSet
 
     Expected errors end the command in one line.
     """
-    from ...simulation.pool import Pool
+    from ...team.pool import Pool
 
     setting = team.setting
     if team.humans > size:

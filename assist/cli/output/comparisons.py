@@ -50,7 +50,7 @@ def rules_compared(
 
 def show_comparison(compared: Comparison, out: Path | None, figures: Path | None, *, as_json: bool) -> None:
     """Write and print a comparison."""
-    from ...plots import people as pictures
+    from ...drawing.plots import people as pictures
 
     if out:
         files.write_records(out, compared.of_people())

@@ -56,7 +56,7 @@ def show_people(
     as_json: bool,
 ) -> bool:  # fmt: skip
     """Write and print estimates and, if requested, their distribution. Return whether the whole log was used."""
-    from ...plots import people as pictures
+    from ...drawing.plots import people as pictures
     from .estimate_tables import lines_of, table_of
 
     if family and not population and len(people) < 3:

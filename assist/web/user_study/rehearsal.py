@@ -19,7 +19,7 @@ import numpy as np
 from planner import CostToGo
 
 from ...live.simulated_person import SimulatedPerson
-from ...userstudy.questionnaires import CHOICE, CHOICES, NUMBER, TEXT, TLX, Answer, Item
+from ...studies.userstudy.questionnaires import CHOICE, CHOICES, NUMBER, TEXT, TLX, Answer, Item
 from ..client import Client
 from .service import StudyService
 

@@ -11,11 +11,11 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Request, Response
 
-from ...texts.catalogue import catalogue
-from ...texts.refusals import Refusal
-from ...userstudy.export import archive
-from ...userstudy.plan import UserStudy
-from ...userstudy.questionnaires import Item
+from ...declare.catalogue import catalogue
+from ...declare.refusals import Refusal
+from ...studies.userstudy.export import archive
+from ...studies.userstudy.plan import UserStudy
+from ...studies.userstudy.questionnaires import Item
 from .. import cookies
 from ..authorization import READ, WRITE, Operator, Own, refusals
 from ..page_routes import page, piece

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from planner import CostToGo
 
-from ...userstudy.plan import UserStudy
-from ...userstudy.session import StudySession
+from ...studies.userstudy.plan import UserStudy
+from ...studies.userstudy.session import StudySession
 from ..app import make_app
 from ..request_limits import Allowance, Networks
 from ..server import address, run

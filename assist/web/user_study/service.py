@@ -14,14 +14,14 @@ from urllib.parse import urlencode
 
 from pydantic import BaseModel
 
+from ...declare.refusals import AbsentError, InapplicableError, Refusal
 from ...live.event_base import Event
-from ...texts.refusals import AbsentError, InapplicableError, Refusal
-from ...userstudy.codes import identifier, spelled
-from ...userstudy.cohort import Cohort
-from ...userstudy.events import Elapsed, Expired, Left, Returned, StudyEvent, Visited, Withdrew
-from ...userstudy.participants import HERE
-from ...userstudy.plan import WAITING
-from ...userstudy.session import StudySession
+from ...studies.userstudy.codes import identifier, spelled
+from ...studies.userstudy.cohort import Cohort
+from ...studies.userstudy.events import Elapsed, Expired, Left, Returned, StudyEvent, Visited, Withdrew
+from ...studies.userstudy.participants import HERE
+from ...studies.userstudy.plan import WAITING
+from ...studies.userstudy.session import StudySession
 from ..request_limits import Allowance
 from ..schemas import Robot
 from ..service import Erasure, Service

@@ -21,8 +21,8 @@ from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
 from assist.person.truncated_bound import TruncatedProblem, likely
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from planner import sweep
 
 SETTING = Setting(knowledge="exact", gamma=0.9, c_suggest=0.01, c_move=0.02, eta=0.0, lapse=0.0, robots=2)

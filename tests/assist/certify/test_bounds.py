@@ -23,9 +23,9 @@ from assist.person.qmdp import evaluate, qmdp
 from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.person.time_expansion import AWAY, HERE
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
 from assist.team.policy_names import POLICIES
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import NOBODY, TeamAction, TeamState
 
 FEW = BoundOptions(price_episodes=300)  # the tests hold for all prices

@@ -35,8 +35,8 @@ from assist.certify.team_bound import upper_bound
 from assist.cli.output.person_bounds import show_samples
 from assist.person.settings import Setting
 from assist.person.solver import solve
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 
 PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
 USUAL = RelaxationOptions()

@@ -14,7 +14,7 @@ from assist.people.choices import Choices
 from assist.people.neighbours import Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
 from assist.people.ranges import Population
 from assist.person.settings import Setting
-from assist.simulation.pool import Pool
+from assist.team.pool import Pool
 from planner.costtogo.table import Table
 
 # A way back at each step; and a longer one.

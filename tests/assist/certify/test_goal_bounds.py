@@ -23,7 +23,7 @@ from assist.people.trust_rules import outcome
 from assist.person import AssistPOMDP, Setting, Solution, qmdp, solve
 from assist.person.qmdp import evaluate
 from assist.person.robots import OfRobots
-from assist.simulation import Pool, simulate
+from assist.team import Pool, simulate
 from planner import sweep_goals
 
 KITS = ROOT / "docs" / "examples" / "kits"

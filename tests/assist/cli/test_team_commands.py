@@ -11,8 +11,8 @@ from conftest import KITTING, invoke, kit
 
 from assist.learning.population import mixture
 from assist.person.settings import Setting
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from planner import CostToGo, OnDemand
 
 TINY = KITTING / "tiny.pddl"

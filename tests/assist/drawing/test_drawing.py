@@ -16,6 +16,7 @@ from conftest import DOMAINS, KITTING, ROOT
 from PIL import Image
 
 from assist.cli import main
+from assist.declare import catalogue
 from assist.drawing import (
     Artist,
     Profile,
@@ -28,7 +29,6 @@ from assist.drawing import (
 )
 from assist.drawing.files import page
 from assist.drawing.subject import Subject
-from assist.texts import catalogue
 from planner import load
 from planner.grounding.fast_downward import optimal_plan
 from planner.system.errors import InputFileError

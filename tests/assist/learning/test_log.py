@@ -23,10 +23,10 @@ from assist.learning.observations import EvaluatedStates, observe
 from assist.learning.replay import replay
 from assist.people.choices import Choices
 from assist.people.ranges import Population
-from assist.simulation.pool import Pool, Setting
-from assist.simulation.simulate import simulate
-from assist.simulation.trace import Trace
+from assist.team.pool import Pool, Setting
+from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamState
+from assist.team.trace import Trace
 from planner import Table
 
 PAPER = kit("paper")

@@ -16,10 +16,10 @@ from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome, Seen
 from assist.people.ranges import Population
 from assist.people.trust_rules import EquationSeven, constant, outcome
 from assist.person.settings import Setting
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
-from assist.simulation.trace import Trace
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamState
+from assist.team.trace import Trace
 from planner import Table
 
 

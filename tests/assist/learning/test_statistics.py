@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from assist.learning import statistics
-from assist.reports.wording import beside, sign
+from assist.studies.reports.wording import beside, sign
 
 
 def test_a_mean_has_students_interval() -> None:

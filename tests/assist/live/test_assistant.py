@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from assist.declare import AbsentError, InapplicableError
 from assist.live.assistant import Assistant
 from assist.people.choice_model import boltzmann
 from assist.people.choices import Choices
@@ -23,11 +24,10 @@ from assist.person.assumptions import Assumptions
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
-from assist.simulation.belief_trace import Watched
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.belief_trace import Watched
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import by_model
-from assist.texts import AbsentError, InapplicableError
 from planner import CostToGo, OnDemand, Table, cost_to_go, load
 
 WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"

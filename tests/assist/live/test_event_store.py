@@ -21,16 +21,16 @@ from sessions import EASY, HAPPENS, SETTING, all_of, happen
 from store_faults import Failing, schedule
 from userstudies import PLAN, Part, written
 
+from assist.declare import AbsentError
 from assist.live.events import Acted, Joined
 from assist.live.live_task import LiveTask
 from assist.live.record import TeamRecord
 from assist.live.session import Session
 from assist.live.store import EventStore, JournalError, stored
 from assist.person.settings import Setting
-from assist.texts import AbsentError
-from assist.userstudy.plan_file import read
-from assist.userstudy.session import StudySession
-from assist.userstudy.tables import tables
+from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import StudySession
+from assist.studies.userstudy.tables import tables
 from planner import Table
 from planner.system.errors import ResultsExistError
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from assist.declare import Refusal
 from assist.live.assistant import Assistant
 from assist.live.session import Session
 from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome
 from assist.person.settings import Setting
 from assist.team.state import TeamAction, TeamState
-from assist.texts import Refusal
 from planner import Table
 
 SETTING = Setting(c_suggest=0.0, c_move=0.0, neighbours=Neighbours(rule="followed", sees="next"), trust="constant")

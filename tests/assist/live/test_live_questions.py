@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from test_uncertain_actions import NOISY
 from test_unknown_goals import LAPSE, SMALL, TASKS, Steps, by_enumeration
 
+from assist.declare import InapplicableError, Refusal
 from assist.live import Acted, Answered, Assistant, Began, Question, Session, Undone
 from assist.people import Goals
 from assist.person import ObservationModel, Setting
 from assist.team.questions import GoalQuestion
 from assist.team.state import NOBODY, TeamAction, TeamState
-from assist.texts import InapplicableError, Refusal
 
 TINY = TASKS["tiny"]
 ASKS = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01)

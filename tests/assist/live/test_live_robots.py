@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, all_of
 from starlette.testclient import TestClient
 
+from assist.declare import Refusal
 from assist.declare.declared import plain
 from assist.live.assistant import Assistant
 from assist.live.event_base import TeamEvent
@@ -21,10 +22,9 @@ from assist.live.session import Session
 from assist.people.ranges import Population
 from assist.person.robots import Robot
 from assist.person.settings import Setting
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
-from assist.simulation.trace import Trace
-from assist.texts import Refusal
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
+from assist.team.trace import Trace
 from assist.web.app import make_app
 from assist.web.service import Service
 from assist.web.tokens import AccessTokens

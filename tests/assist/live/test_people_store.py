@@ -13,11 +13,11 @@ from conftest import kit
 from serving import TINY, served
 
 from assist.cli import main
+from assist.declare import AbsentError
 from assist.live import Assistant, Joined, PeopleStore, Session
 from assist.people.goals import Goals
 from assist.people.ranges import Population
 from assist.person.settings import Setting
-from assist.texts import AbsentError
 from planner import Table, sweep_goals
 from planner.system.errors import InputFileError
 

@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, happen
 
+from assist.declare import AbsentError, InapplicableError, Refusal
 from assist.live.assistant import Assistant
 from assist.live.desk import Desk
 from assist.live.event_base import Event, TeamEvent
@@ -26,7 +27,6 @@ from assist.live.session import Session
 from assist.live.store import JournalError, stored
 from assist.live.team import Team
 from assist.person.settings import Setting
-from assist.texts import AbsentError, InapplicableError, Refusal
 from planner import Table
 from planner.system.errors import InputFileError, ResultsExistError
 

@@ -8,9 +8,9 @@ import pytest
 from assist.live.simulated_person import SimulatedPerson
 from assist.people import Population
 from assist.person import Setting
-from assist.simulation import Pool, simulate
-from assist.simulation.common_random_numbers import CommonRandomNumbers
-from assist.simulation.trace import Trace
+from assist.team import Pool, simulate
+from assist.team.common_random_numbers import CommonRandomNumbers
+from assist.team.trace import Trace
 from planner import OnDemand, load, sweep
 
 TINY = sweep(load("kitting/tiny"))

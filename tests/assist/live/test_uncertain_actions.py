@@ -12,6 +12,7 @@ import pytest
 from conftest import kit
 from test_unreliable_observations import by_enumeration, problem
 
+from assist.declare import InapplicableError, Refusal
 from assist.learning.log import Log
 from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
@@ -19,7 +20,6 @@ from assist.people.real_people import advice_takers
 from assist.person import QMDP, ObservationModel, Setting, joint_belief, qmdp
 from assist.person.assumptions import Assumptions
 from assist.person.truncated_policy import SharedTask, TruncatedPolicy
-from assist.texts import InapplicableError, Refusal
 from planner import Table
 
 FETCH, OTHER = "(fetch box-a)", "(fetch box-b)"

@@ -19,9 +19,9 @@ from assist.people.ranges import Population
 from assist.person.person_problem import PersonProblem
 from assist.person.settings import Setting
 from assist.person.travel import Travel
-from assist.simulation.pool import Pool
-from assist.simulation.schedule import Schedule
-from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.schedule import Schedule
+from assist.team.simulate import simulate
 from planner import LimitError, Table
 
 NAN, INF = float("nan"), float("inf")

@@ -34,10 +34,10 @@ from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.solver import Solution, solve
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
-from assist.study.cells import carry_out
-from assist.study.protocol import read
+from assist.studies.cells import carry_out
+from assist.studies.protocol import read
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from planner import LimitError, OnDemand, Table, sweep
 from planner.system.errors import InputFileError
 

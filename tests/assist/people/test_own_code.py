@@ -18,7 +18,7 @@ from assist.cli import main
 from assist.people.terms import TERMS
 from assist.people.trust_rules import EquationSeven, LogitSteps, Reliability
 from assist.people.user_code import UserCodeError
-from assist.study import own_code
+from assist.studies import own_code
 from assist.team import assigned
 from assist.team.policies import named
 

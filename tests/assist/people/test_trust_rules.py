@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from assist.certify.team_bound import upper_bound
 from assist.cli.options.person import TRUST
+from assist.connect.observed import Observed
 from assist.declare.declared import plain
-from assist.interop.observed import Observed
 from assist.live.assistant import Assistant
 from assist.people.belief import Grid
 from assist.people.choices import Choices
@@ -46,9 +46,9 @@ from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.solver import solve
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
-from assist.study.protocol import read
+from assist.studies.protocol import read
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 
 ALL: dict[str, TrustRule] = {
     "paper": EquationSeven(0.3),

@@ -24,7 +24,7 @@ from assist.person.settings import Setting
 from assist.person.time_expansion import AWAY, HERE
 from assist.person.truncated_bound import BoundSizes, bounded, likely
 from assist.person.truncated_task import never_erring
-from assist.simulation import Pool
+from assist.team import Pool
 from planner import Instance, LimitError, Table, sweep
 
 ENTRY = 0.4

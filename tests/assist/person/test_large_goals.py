@@ -23,7 +23,7 @@ from assist.person.memory_needed import depth_within, first_bounds_bytes, states
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
 from assist.person.truncated_policy import TruncatedPolicy, default_size
-from assist.simulation import Pool, simulate
+from assist.team import Pool, simulate
 from planner import LimitError
 
 EVERYTHING = 10_000  # states, more than these tasks have
@@ -220,7 +220,7 @@ def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.Monk
     """Questions about goals are worth as much, and so is help against none."""
     goals, setting = TASKS["sealed"], Setting(c_suggest=0.2, c_move=0.1, c_ask=0.05, ask_error=0.1, max_steps=60)
     whole = Pool.sample(goals, 3, seed=1, setting=setting)
-    monkeypatch.setattr("assist.simulation.pool.MAX_ENUMERATED", 5)
+    monkeypatch.setattr("assist.team.pool.MAX_ENUMERATED", 5)
     parts = [Pool.sample(goals, 3, seed=1, setting=setting, states=1, region=region) for region in (EVERYTHING, 20)]
     assert all(isinstance(part.policies[0], TruncatedPolicy) for part in parts)
     found = [simulate(pool, policy, **OPTIONS) for pool in (whole, *parts)]

@@ -23,7 +23,7 @@ from assist.person.hidden_beliefs import Hidden
 from assist.person.joint_belief import expected_answers, said_in
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.problem_arrays import Acts
-from assist.simulation import Episodes, Pool, simulate
+from assist.team import Episodes, Pool, simulate
 from assist.team.state import worth_of_actions
 
 Steps = list[tuple[ObservationModel, str | None, str | None]]

@@ -27,12 +27,12 @@ from assist.person.qmdp import QMDP, qmdp
 from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.person.truncated_task import never_erring
-from assist.simulation.episodes import Episodes
-from assist.simulation.pool import Pool
-from assist.simulation.schedule import Schedule
-from assist.simulation.simulate import simulate
-from assist.simulation.trace import Trace
+from assist.team.episodes import Episodes
+from assist.team.pool import Pool
+from assist.team.schedule import Schedule
+from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamState
+from assist.team.trace import Trace
 from planner import CostToGo, Instance, OnDemand, Table
 
 EVERYTHING = 10**6  # states of a region

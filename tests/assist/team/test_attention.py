@@ -17,10 +17,10 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, evaluate, qmdp
 from assist.person.settings import Setting
 from assist.person.travel import Travel
-from assist.simulation.pool import Pool
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
 from assist.team.attention_never import AttentionAgainstNever
 from assist.team.by_policy import ByPolicy
+from assist.team.pool import Pool
 from assist.team.state import BASE, NOBODY, TeamAction, TeamState
 
 TEAMS, PEOPLE = 6, 3

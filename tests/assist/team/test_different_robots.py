@@ -35,14 +35,14 @@ from assist.person.qmdp import qmdp
 from assist.person.robots import Robot
 from assist.person.settings import Setting
 from assist.person.travel import Travel
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
-from assist.simulation.trace import Trace
-from assist.study.protocol import read
+from assist.studies.protocol import read
 from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.policy_names import POLICIES
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import BASE, NOBODY, TeamAction, TeamState
+from assist.team.trace import Trace
 from planner import sweep
 from planner.system.errors import InputFileError
 

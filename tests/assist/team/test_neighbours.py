@@ -7,20 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from assist.connect.teams import Teams
 from assist.declare.declared import DeclarationError
-from assist.interop.teams import Teams
 from assist.people.goals import Goals
 from assist.people.neighbourhood import Helped, Neighbourhood
 from assist.people.neighbours import SEEN_RULES, Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
 from assist.person.observation_model import ObservationModel
 from assist.person.policy import Policy
 from assist.person.settings import Setting
-from assist.simulation.common_random_numbers import CommonRandomNumbers
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
-from assist.simulation.trace import Trace
+from assist.team.common_random_numbers import CommonRandomNumbers
 from assist.team.outlook import outlook
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamState
+from assist.team.trace import Trace
 from planner import OnDemand, sweep_goals
 from planner.costtogo.table import Table
 

@@ -13,13 +13,13 @@ from assist.people.choices import Choices
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.settings import Setting
 from assist.person.travel import Travel
-from assist.simulation.pool import Pool
-from assist.simulation.schedule import Schedule
-from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
 from assist.team.attention_never import AttentionAgainstNever
 from assist.team.by_policy import ByPolicy
+from assist.team.pool import Pool
 from assist.team.priority import Priority
+from assist.team.schedule import Schedule
+from assist.team.simulate import simulate
 from assist.team.state import BASE, NOBODY, TeamAction, TeamState
 from planner import Table, cost_to_go, load
 

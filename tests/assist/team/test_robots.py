@@ -13,10 +13,10 @@ import pytest
 from conftest import graph_task, invoke
 from teams import state
 
+from assist.certify.coupled import Agents, joint_optimum
 from assist.certify.options import BoundOptions
 from assist.certify.prices import kinds_of
 from assist.certify.team_bound import upper_bound
-from assist.coupled import Agents, joint_optimum
 from assist.declare.declared import plain
 from assist.people.choices import Choices
 from assist.people.ranges import Population
@@ -25,13 +25,13 @@ from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.qmdp import qmdp
 from assist.person.robots import Robot
 from assist.person.settings import Setting
-from assist.simulation.episodes import Episodes
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
-from assist.simulation.trace import Trace
 from assist.team.action_check import check
+from assist.team.episodes import Episodes
 from assist.team.policy_names import POLICIES
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import BASE, NOBODY, TeamAction, TeamState
+from assist.team.trace import Trace
 from planner import sweep
 
 FAR: list[list[float]] = [[0, 1, 2, 3], [1, 0, 1.5, 1], [2, 1.5, 0, 2], [3, 1, 2, 0]]

@@ -15,9 +15,9 @@ from assist.people.choices import Choices
 from assist.people.goals import Goals
 from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
 from assist.team.rollout import Rollout, RolloutOptions, _Paths
+from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamState
 from planner import Table, sweep_goals
 

@@ -10,8 +10,8 @@ from teams import state
 
 from assist.person.pomdp import AssistPOMDP
 from assist.person.settings import Setting
-from assist.simulation.pool import Pool
-from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import NOBODY
 from assist.team.whittle import Whittle
 from planner import Table, sweep

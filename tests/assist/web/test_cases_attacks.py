@@ -16,7 +16,7 @@ from test_cases_study_identities import signature_of
 from test_userstudy_pages import Web
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from assist.userstudy.codes import LETTERS
+from assist.studies.userstudy.codes import LETTERS
 from assist.web.request_limits import LARGEST, Allowance, address_of, networks
 from assist.web.tokens import VISITOR, AccessTokens
 from planner import Table

@@ -19,9 +19,9 @@ from streams import watching
 from test_userstudy_pages import Web
 from userstudies import PLAN
 
-from assist.texts import catalogue
-from assist.userstudy.codes import identifier
-from assist.userstudy.tables import is_formula, text_of, written
+from assist.declare import catalogue
+from assist.studies.userstudy.codes import identifier
+from assist.studies.userstudy.tables import is_formula, text_of, written
 from assist.web import request_limits
 from assist.web.request_limits import Allowance
 from assist.web.tokens import VISITOR, AccessTokens

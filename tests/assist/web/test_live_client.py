@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from serving import served
 
-from assist.bridges.session_client import SessionClient
+from assist.connect.bridges.session_client import SessionClient
 from assist.web.client import Client, RefusedError
 
 PAGE = b"<html><h1>Bad Gateway</h1></html>"

@@ -23,7 +23,7 @@ from assist.live.session import Session
 from assist.live.store import JournalError
 from assist.people.ranges import Population
 from assist.person.settings import Setting
-from assist.userstudy.events import StudyEvent
+from assist.studies.userstudy.events import StudyEvent
 from assist.web import server
 from assist.web.app import make_app
 from assist.web.client import request_of

@@ -24,8 +24,8 @@ from userstudies import PLAN, written
 from assist.live.events import Joined
 from assist.live.session import Session
 from assist.person.settings import Setting
-from assist.userstudy.plan_file import read
-from assist.userstudy.session import StudySession
+from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import StudySession
 from assist.web.app import make_app
 from assist.web.client import Client, RefusedError
 from assist.web.server import server_of

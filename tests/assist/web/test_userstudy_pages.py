@@ -24,9 +24,9 @@ from streams import watching
 from test_live_pages import CHROMIUM, chromium, violations
 from userstudies import PLAN, SCORES, written
 
-from assist.texts import catalogue, languages
-from assist.userstudy.plan_file import read
-from assist.userstudy.session import StudySession
+from assist.declare import catalogue, languages
+from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import StudySession
 from assist.web.app import make_app
 from assist.web.request_limits import Allowance
 from assist.web.tokens import VISITOR, AccessTokens

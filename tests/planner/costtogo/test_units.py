@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from teams import equal, run
 
 from assist import fit, read_log
-from assist.explain.contrast import contrast
+from assist.live.contrast import contrast
 from assist.people.choices import Choices
 from assist.person.closed_problem import closed_problem
 from assist.person.truncated_task import TruncatedTask
-from assist.simulation.pool import Pool
+from assist.team.pool import Pool
 from planner import OnDemand, Table, Task, open_table, save_table, sweep, verify
 from planner.costtogo.astar import astar
 from planner.costtogo.cost_to_go import optimal_choices

@@ -25,7 +25,7 @@ from assist.learning import Log
 from assist.people.choices import Choices
 from assist.person import qmdp, solve
 from assist.person.settings import Setting
-from assist.study.runner import run_study
+from assist.studies.runner import run_study
 from assist.team import TeamAction, TeamState
 from planner import Instance, Table, cost_to_go, sweep
 from planner.system import jit, progress

@@ -1,0 +1,366 @@
+"""Messages of a line and what they report: topics, the fields of a payload, and the action that they make.
+
+A topic such as `line/{person}/action` has fields instead of some levels. A payload is a JSON object, or a text of which
+the named groups of a regular expression are the fields. Templates such as `(place {item} {slot})` are filled with both.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+from pydantic_core import PydanticCustomError
+
+from ...declare import tables as toml
+from ...declare.declared import DeclarationError, Expected, Text, declared, spelt
+from ...declare.tables import convert, located, told
+from ...live.event_base import OfPerson, fault_of
+from ...live.events import kinds
+from ...people.action_names import wrong_form
+
+Fields = dict[str, str]
+"""Fields of a message, as texts."""
+
+FIELD = re.compile(r"\{(\w+)\}")
+LEVEL = re.compile(r"\{(\w+)\}|[^{}+#]*")
+WORD = re.compile(r"[^\s()]+")
+LONGEST_ID = 128  # characters, as the service accepts
+
+
+class MessageError(ValueError):
+    """A message that reports nothing usable; the text says why."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic with fields, such as `line/{person}/action`.
+
+    Raises
+    ------
+    ValueError
+        A field is not a whole level, or occurs twice, or there is a wildcard.
+    """
+
+    text: str
+
+    def __post_init__(self) -> None:
+        """Check the levels."""
+        names = self.names
+        if not self.text or len(set(names)) < len(names) or not all(map(LEVEL.fullmatch, self.text.split("/"))):
+            raise ValueError(f"{self.text!r}; expected levels that are texts or one field each: line/{{person}}/action")
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the fields."""
+        return FIELD.findall(self.text)
+
+    @classmethod
+    def of(cls, text: Any) -> Topic:
+        """Return the topic of a text in a file."""
+        if not isinstance(text, str) or not text:
+            raise PydanticCustomError("kind", "a text")
+        return cls(text)
+
+    @property
+    def filter(self) -> str:
+        """The filter with which a client subscribes."""
+        return FIELD.sub("+", self.text)
+
+    def fill(self, **fields: str) -> str:
+        """Return the topic for these values of its fields."""
+        return FIELD.sub(lambda found: fields[found[1]], self.text)
+
+    def fields(self, topic: str) -> Fields | None:
+        """Return the values of the fields in a topic; None if it is another topic."""
+        found = {}
+        levels, given = self.text.split("/"), topic.split("/")
+        if len(levels) != len(given):
+            return None
+        for level, value in zip(levels, given, strict=True):
+            name = FIELD.fullmatch(level)
+            if name is not None and value:
+                found[name[1]] = value
+            elif level != value:
+                return None
+        return found
+
+
+def filled(template: str, fields: Mapping[str, str], names: Mapping[str, str]) -> str:
+    """Return a template with its fields filled in.
+
+    Parameters
+    ----------
+    template : str
+        A template of one field only takes its value as it is; in longer ones, each value is one word.
+    fields : mapping of str to str
+    names : mapping of str to str
+        The task's names of values that are written otherwise, such as bar codes.
+
+    Raises
+    ------
+    MessageError
+        A field is missing, or its value is not one word.
+    """
+    alone = FIELD.fullmatch(template) is not None
+
+    def value(found: re.Match[str]) -> str:
+        given = fields.get(found[1])
+        if given is None:
+            raise MessageError(f"there is no field {found[1]!r}; expected {', '.join(FIELD.findall(template))}")
+        named = names.get(given, given)
+        if not alone and not WORD.fullmatch(named):
+            raise MessageError(f"field {found[1]!r} is {given[:40]!r}; expected one word")
+        return named
+
+    return FIELD.sub(value, template)
+
+
+def texts_of(content: Mapping[str, Any]) -> Fields:
+    """Return the texts and numbers of a message, as texts.
+
+    Raises
+    ------
+    MessageError
+        A text has half a character (an escape in JSON), which cannot be sent.
+    """
+    found = {
+        name: str(value)
+        for name, value in content.items()
+        if isinstance(value, str | int | float) and not isinstance(value, bool)
+    }
+    for name, value in found.items():
+        try:
+            f"{name}{value}".encode()
+        except UnicodeEncodeError:
+            raise MessageError(f"field {name[:40]!r} is {value[:40]!r}; expected Unicode text") from None
+    return found
+
+
+def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
+    """Return the fields of a payload: those of a JSON object, or the named groups of a pattern in a text.
+
+    Raises
+    ------
+    MessageError
+        It is neither.
+    """
+    try:
+        text = payload.decode()
+        content = json.loads(text) if pattern is None else pattern.search(text)
+    except (ValueError, RecursionError):  # a ValueError for integers of thousands of digits, too
+        expected = "a JSON object" if pattern is None else "text"
+        raise MessageError(f"{payload[:40]!r}; expected {expected} in UTF-8") from None
+    if isinstance(content, re.Match):
+        return {name: value for name, value in content.groupdict().items() if value is not None}
+    if pattern is not None:
+        raise MessageError(f"{text[:40]!r} does not match {pattern.pattern}")
+    if not isinstance(content, dict):
+        raise MessageError(f"{text[:40]}; expected a JSON object")
+    return texts_of(content)
+
+
+def fields_of_value(text: str, pattern: re.Pattern[str] | None = None) -> Fields:
+    """Return the fields of a value: those of a JSON object or of a pattern, or `value` for any other text.
+
+    Raises
+    ------
+    MessageError
+        The text begins as an object and is none, or does not match the pattern.
+    """
+    if pattern is not None or text.lstrip().startswith("{"):
+        return fields_of(text.encode(errors="replace"), pattern)
+    return {"value": text}
+
+
+@dataclass(frozen=True)
+class Report:
+    """An event of a person, as a message reports it.
+
+    Attributes
+    ----------
+    person : str
+    id : str
+        The same for repetitions of the message.
+    kind : str
+        The kind of event (`assist.live.events`).
+    values : mapping of str to str
+        Its other fields.
+    number : int or None
+        Its place among the reports of this person, counted from 1.
+    fault : str or None
+        Why it cannot be recorded.
+    """
+
+    person: str
+    id: str
+    kind: str = "acted"
+    values: Mapping[str, str] = field(default_factory=dict)
+    number: int | None = None
+    fault: str | None = None
+
+    def event(self) -> OfPerson:
+        """Return the event.
+
+        Raises
+        ------
+        MessageError
+            The message has none that can be recorded.
+        """
+        if self.fault is not None:
+            raise MessageError(self.fault)
+        kind: type[OfPerson] = kinds(OfPerson)[self.kind]
+        given: dict[str, Any] = {**self.values, "person": self.person, "id": self.id}
+        try:
+            return _made(kind, given)
+        except ValidationError as error:
+            raise MessageError(fault_of(kind, error, given)) from None
+
+
+def _made(kind: type[OfPerson], given: dict[str, Any]) -> OfPerson:
+    """Return an event; texts stand for numbers and truth values where these are expected."""
+    try:
+        return kind.model_validate(given)
+    except ValidationError as error:
+        wrong = {str(one["loc"][0]) for one in error.errors() if one["loc"]} & _numbers_in(given)
+        if not wrong:
+            raise
+        return kind.model_validate({name: json.loads(one) if name in wrong else one for name, one in given.items()})
+
+
+def _numbers_in(given: Mapping[str, Any]) -> set[str]:
+    """Return the names of texts that are numbers or truth values in JSON."""
+    return {name for name, text in given.items() if re.fullmatch(r"-?\d{1,15}(\.\d{1,15})?|true|false", str(text))}
+
+
+def _template(text: str) -> str:
+    rest = FIELD.sub("x", text)
+    if "{" in rest or "}" in rest:
+        raise ValueError(f"{text!r}; expected fields as {{name}}, and no other braces")
+    return text
+
+
+def _of_action(text: str) -> str:
+    if wrong_here := wrong_form(FIELD.sub("x", _template(text))):
+        raise ValueError(f"{text} {wrong_here}")
+    return text
+
+
+def _pattern(text: Any) -> re.Pattern[str]:
+    if not isinstance(text, str):
+        raise PydanticCustomError("kind", "a text")
+    try:
+        return re.compile(text)
+    except re.error as error:
+        raise ValueError(f"{text!r} is no regular expression: {error}") from None
+
+
+def _event(kind: str) -> str:
+    if kind not in kinds(OfPerson):
+        raise ValueError(f"{kind!r}; expected one of {', '.join(kinds(OfPerson))}")
+    return kind
+
+
+Template = Annotated[Text, AfterValidator(_template)]
+"""A text with fields such as `{person}`, which take their values from a message."""
+ActionTemplate = Annotated[Text, AfterValidator(_of_action)]
+EventKind = Annotated[Text, AfterValidator(_event)]
+
+
+@declared(kw_only=True)
+class Source:
+    """Messages that report events of one kind. Fields of a message named as other fields of the event are its values.
+
+    Subclasses have what the protocol says of where messages come from, and may have templates `person`, `number` and
+    `seq`, and `event`, the kind of event.
+    """
+
+    action: Annotated[ActionTemplate, Field(description="Template of the action.")] = "{action}"
+    id: Annotated[Template | None, Field(description="Template of the message's id, if messages have one.")] = "{id}"
+    pattern: Annotated[
+        Annotated[re.Pattern[str], BeforeValidator(_pattern), Expected("a text")] | None,
+        Field(description="Pattern whose named groups are the fields of a text; None for JSON objects."),
+    ] = None
+
+    def report(self, fields: Fields, names: Mapping[str, str]) -> Report:
+        """Return what a message with these fields reports; `names` are the task's names of values.
+
+        An unusable action is part of the report, since the report may have a number that others wait for.
+
+        Raises
+        ------
+        MessageError
+            The person, the id or a number is missing or unsuitable.
+        """
+        identifier = filled(self.id or "{id}", fields, {})
+        if not 0 < len(identifier) <= LONGEST_ID:
+            raise MessageError(f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
+        person, number = filled(getattr(self, "person", "{person}"), fields, {}), self._whole("number", fields, 1)
+        kind, seq = getattr(self, "event", "acted"), self._whole("seq", fields, 0)
+        known = [*kinds(OfPerson)[kind].fields()]
+        values = {
+            name: fields[name] for name in known if name in fields and name not in ("person", "id", "action", "seq")
+        }
+        values |= {} if seq is None else {"seq": str(seq)}
+        try:
+            values |= {"action": filled(self.action, fields, names)} if "action" in known else {}
+        except MessageError as error:
+            return Report(person, identifier, kind, values, number, str(error))
+        return Report(person, identifier, kind, values, number)
+
+    def _whole(self, name: str, fields: Fields, least: int) -> int | None:
+        """Return the whole number that a template stands for; None without a template."""
+        template: str | None = getattr(self, name, None)
+        if template is None:
+            return None
+        text = filled(template, fields, {})
+        if not re.fullmatch(r"\d{1,15}", text, re.ASCII) or int(text) < least:
+            raise MessageError(f"{template} is {text[:40]!r}; expected a whole number of {least} or more")
+        return int(text)
+
+
+def wrong(message: str, *place: str) -> DeclarationError:
+    """Return the error of a value at a place of the settings."""
+    return DeclarationError(place, None, message, f"{spelt(place)}: {message}")
+
+
+def require_among(fields: tuple[str, ...] | None, known: set[str], place: str) -> None:
+    """Refuse fields of a view that it does not have."""
+    for name in fields or ():
+        if name not in known:
+            near = get_close_matches(name, known, n=1, cutoff=0.75)  # a slip of the hand, not another word
+            right = f"did you mean {near[0]!r}?" if near else f"expected some of {', '.join(sorted(known))}"
+            raise wrong(f"{name!r}; {right}", place, "fields")
+
+
+@declared(kw_only=True)
+class BridgeSettings:
+    """The settings of a bridge, from one TOML file."""
+
+    names: Annotated[
+        Annotated[dict[str, str], Expected("a table of texts")],
+        Field(description="The task's names of values that messages have otherwise, such as bar codes."),
+    ] = field(default_factory=dict)
+
+    def require(self, robots: int) -> None:
+        """Refuse settings that do not fit so many robots, with a `DeclarationError`."""
+
+    @classmethod
+    def read(cls, file: str | Path, robots: int = 1) -> Self:
+        """Read the settings for so many robots from a TOML file.
+
+        Raises
+        ------
+        InputFileError
+            A field is missing, unknown or of the wrong type; the message has its place.
+        """
+        file = Path(file)
+        with located(file), told(file):
+            found = convert(toml.load(file), cls, file)
+            found.require(robots)
+            return found

@@ -1,0 +1,145 @@
+"""The settings of the MQTT bridge, from one TOML file. Passwords and certificates come from the environment."""
+
+from __future__ import annotations
+
+import os
+import ssl
+from collections.abc import Mapping
+from dataclasses import field
+from typing import Annotated
+
+from pydantic import BeforeValidator, Field
+
+from ...declare.declared import Expected, Number, Text, Texts, Truth, Whole, declared
+from .messages import BridgeSettings, EventKind, Fields, Source, Template, Topic, fields_of, require_among, wrong
+
+ENVIRONMENT = "KITASSIST_MQTT_"
+"""Prefix of the environment variables PASSWORD, CA, CERTIFICATE and KEY."""
+
+ADVICE = "person", "suggestion", "finished", "seq"
+VIEW = {*ADVICE, "task", "present", "paused", "applicable", "reason", "cost_to_go", "steps", "explained"}
+ROBOT = "person", "suggestion", "arrived", "seq"
+ERRAND = {*ROBOT, "reason", "location"}
+
+Port = Annotated[Whole, Field(ge=1, le=65535), Expected("a port, 1 to 65535")]
+Seconds = Annotated[Number, Field(gt=0, le=3600), Expected("seconds above 0, at most 3600")]
+TopicText = Annotated[Topic, BeforeValidator(Topic.of), Expected("a text")]
+
+
+@declared
+class Broker:
+    """The table `broker`."""
+
+    host: Text = "localhost"
+    port: Annotated[Port | None, Field(description="1883 unless given, and 8883 with TLS.")] = None
+    client: Annotated[
+        Text, Field(description="Name of the bridge at the broker, which keeps messages for it while it is away.")
+    ] = "kitassist"
+    username: Text | None = None
+    tls: Truth = False
+
+
+@declared(kw_only=True)
+class Observed(Source):
+    """A table `observe`: a topic with reports."""
+
+    topic: TopicText
+    person: Template = "{person}"
+    event: EventKind = "acted"
+    number: Annotated[Template | None, Field(description="Template of the place among the person's reports.")] = None
+    seq: Annotated[Template | None, Field(description="Template of `seq` of the view on which they acted.")] = None
+
+    def fields(self, topic: str, payload: bytes) -> Fields:
+        """Return the fields of a message; those of its topic take precedence.
+
+        Raises
+        ------
+        MessageError
+            As in `fields_of`.
+        """
+        return {**fields_of(payload, self.pattern), **(self.topic.fields(topic) or {})}
+
+
+@declared
+class Output:
+    """A table `advice` or `robot`: a topic on which parts of a view are published."""
+
+    topic: TopicText
+    fields: Texts | None = None
+
+
+@declared
+class Plain:
+    """A table `answers`, `arrived` or `status`: a topic."""
+
+    topic: TopicText
+
+
+@declared(kw_only=True)
+class MqttSettings(BridgeSettings):
+    """Settings of the MQTT bridge. With several robots, their topics have the field `{robot}`, a number from 1."""
+
+    observe: Annotated[
+        Observed | Annotated[tuple[Observed, ...], Field(min_length=1)],
+        Field(description="Topics on which people's actions are published."),
+        Expected("a table or more"),
+    ]
+    broker: Annotated[Broker, Field(description="The broker.")] = field(default_factory=Broker)
+    advice: Annotated[Output | None, Field(description="Where suggestions are published.")] = None
+    answers: Annotated[Plain | None, Field(description="Where reports are answered.")] = None
+    robot: Annotated[Output | None, Field(description="Where the robots' instructions are published.")] = None
+    arrived: Annotated[Plain | None, Field(description="Where robots report their places.")] = None
+    status: Annotated[Plain | None, Field(description="Where the bridge shows that it works.")] = None
+    wait: Annotated[
+        Seconds, Field(description="Seconds for which later messages of a person wait for an earlier one.")
+    ] = 10.0
+
+    def require(self, robots: int) -> None:
+        """Refuse topics without the fields that they need, and fields that a view does not have."""
+        tables = {name: getattr(self, name) for name in ("advice", "answers", "status", "robot", "arrived")}
+        for place, table in tables.items():
+            if table is None:
+                continue
+            names = ["person"] if place in ("advice", "answers") else []
+            if place in ("robot", "arrived") and (robots > 1 or "{robot}" in table.topic.text):
+                names = ["robot"]
+            if sorted(table.topic.names) != names:
+                expected = " and ".join(f"{{{name}}}" for name in names) or "no field"
+                raise wrong(f"{table.topic.text!r}; expected {expected} in it", place, "topic")
+        for place, output, known in (("advice", self.advice, VIEW), ("robot", self.robot, ERRAND)):
+            require_among(None if output is None else output.fields, known, place)
+
+    @property
+    def sources(self) -> tuple[Observed, ...]:
+        """The messages that report events."""
+        return self.observe if isinstance(self.observe, tuple) else (self.observe,)
+
+    @property
+    def port(self) -> int:
+        """The broker's port."""
+        return self.broker.port or (8883 if self.broker.tls else 1883)
+
+    def context(self, environment: Mapping[str, str] = os.environ) -> ssl.SSLContext | None:
+        """Return the TLS settings, with the files of the environment; None without TLS.
+
+        Raises
+        ------
+        OSError
+            A file cannot be read, or is no certificate or key.
+        """
+        if not self.broker.tls:
+            return None
+        name = "CA"
+        try:
+            context = ssl.create_default_context(cafile=environment.get(f"{ENVIRONMENT}CA"))
+            if certificate := environment.get(f"{ENVIRONMENT}CERTIFICATE"):
+                name = "CERTIFICATE"
+                context.load_cert_chain(certificate, environment.get(f"{ENVIRONMENT}KEY"))
+        except OSError as error:
+            why = error.strerror or "it is no file in PEM format"
+            raise OSError(error.errno, f"{ENVIRONMENT}{name}: {why}", environment.get(f"{ENVIRONMENT}{name}")) from None
+        return context
+
+    def password(self, environment: Mapping[str, str] = os.environ) -> str | None:
+        """Return the password, from the environment."""
+        return environment.get(f"{ENVIRONMENT}PASSWORD")

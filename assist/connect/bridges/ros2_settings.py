@@ -1,0 +1,184 @@
+"""The settings of the ROS 2 bridge, from one TOML file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import field
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field
+
+from ...declare.declared import AnyTable, Expected, Text, Texts, declared
+from .messages import (
+    FIELD,
+    BridgeSettings,
+    EventKind,
+    Fields,
+    MessageError,
+    Source,
+    Template,
+    fields_of,
+    require_among,
+    texts_of,
+    wrong,
+)
+from .mqtt_settings import VIEW
+
+STRING = "std_msgs/msg/String"
+NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+TYPE = re.compile(r"[a-z]\w*/((msg|action)/)?[A-Z]\w*", re.ASCII)
+
+ANSWER = "person", "id", "status", "detail", "seq"
+NULLABLE = {"reason", "cost_to_go"}  # which messages of ROS cannot contain
+
+
+def _name(name: str) -> str:
+    if not NAME.fullmatch(name.replace("{robot}", "1")):
+        raise ValueError(f"{name!r}; expected a name of ROS: letters, digits, _ and / between them")
+    return name
+
+
+def _type(type: str) -> str:
+    if not TYPE.fullmatch(type):
+        raise ValueError(f"{type!r}; expected a type of ROS, such as {STRING}")
+    return type
+
+
+def _url(url: str) -> str:
+    if not re.fullmatch(r"wss?://[^\s/:]+(:\d+)?(/\S*)?", url):
+        raise ValueError(f"{url!r}; expected ws://host:port or wss://host")
+    return url
+
+
+Name = Annotated[Text, AfterValidator(_name)]
+Type = Annotated[Text, AfterValidator(_type)]
+
+
+@declared
+class Rosbridge:
+    """The table `rosbridge`."""
+
+    url: Annotated[Text, AfterValidator(_url)]
+
+
+@declared(kw_only=True)
+class Observed(Source):
+    """A table `observe`: a topic with reports, whose fields are the message's, or of the JSON object in a String."""
+
+    topic: Name
+    type: Type = STRING
+    person: Template = "{person}"
+    event: EventKind = "acted"
+    seq: Template | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a pattern for messages that are no texts."""
+        if self.pattern is not None and self.type != STRING:
+            raise wrong(f"applies to texts; expected the type {STRING}", "pattern")
+
+    def fields(self, message: Mapping[str, Any]) -> Fields:
+        """Return the fields of a message.
+
+        Raises
+        ------
+        MessageError
+            It is a String without a JSON object in it, or does not match the pattern.
+        """
+        if self.type == STRING:
+            return fields_of(str(message.get("data", "")).encode(errors="replace"), self.pattern)
+        return texts_of(message)
+
+
+@declared
+class Output:
+    """A table `advice` or `answers`: a topic on which fields are published, or a JSON object of them in a String."""
+
+    topic: Name
+    type: Type = STRING
+    fields: Texts | None = None
+
+
+@declared
+class GoToAction:
+    """The table `go_to`: the ROS action that takes a robot to a person."""
+
+    action: Annotated[Name, Field(description="Its name, in which `{robot}` is a robot's number, from 1.")]
+    type: Type
+    goal: Annotated[
+        AnyTable, Field(description="The goal, in which `{person}` and the fields of their place are filled in.")
+    ]
+    places: Annotated[
+        Annotated[dict[str, dict[str, Any]], Expected("a table for each person")],
+        Field(description="Fields of each person's place, such as coordinates."),
+    ] = field(default_factory=dict)
+
+    def goal_for(self, person: str) -> dict[str, Any]:
+        """Return the goal that takes the robot to a person.
+
+        Raises
+        ------
+        MessageError
+            The person has no place.
+        """
+        fields = {**self.places.get(person, {}), "person": person}
+        if missing := sorted(_fields(self.goal) - set(fields)):
+            raise MessageError(f"go_to.places: {person!r} has no {' and no '.join(missing)}")
+        found: dict[str, Any] = _filled(self.goal, fields)
+        return found
+
+
+def _fields(template: Any) -> set[str]:
+    """Return the fields that occur in a goal."""
+    if isinstance(template, str):
+        return set(FIELD.findall(template))
+    values = template.values() if isinstance(template, Mapping) else template if isinstance(template, list) else ()
+    return set[str]().union(*map(_fields, values))
+
+
+def _filled(template: Any, fields: Mapping[str, Any]) -> Any:
+    """Return a goal with its fields filled in; a text of one field only becomes its value, whatever type that has."""
+    if isinstance(template, Mapping):
+        return {name: _filled(value, fields) for name, value in template.items()}
+    if isinstance(template, list):
+        return [_filled(value, fields) for value in template]
+    if not isinstance(template, str):
+        return template
+    alone = FIELD.fullmatch(template)
+    return fields[alone[1]] if alone else FIELD.sub(lambda found: str(fields[found[1]]), template)
+
+
+@declared(kw_only=True)
+class Ros2Settings(BridgeSettings):
+    """Settings of the ROS 2 bridge."""
+
+    rosbridge: Annotated[Rosbridge, Field(description="The server of rosbridge.")]
+    observe: Annotated[
+        Observed | Annotated[tuple[Observed, ...], Field(min_length=1)],
+        Field(description="Topics on which people's actions are published."),
+        Expected("a table or more"),
+    ]
+    advice: Annotated[Output | None, Field(description="Where suggestions are published.")] = None
+    answers: Annotated[Output | None, Field(description="Where reports are answered.")] = None
+    go_to: Annotated[GoToAction | None, Field(description="The action that sends a robot to a person.")] = None
+
+    def require(self, robots: int) -> None:
+        """Refuse a topic that occurs twice, unknown fields, and goals that lack a field or the robot's number."""
+        if len({one.topic for one in self.sources}) < len(self.sources):
+            raise wrong("a topic occurs twice; expected one table for each", "observe")
+        for place, output, known in (("advice", self.advice, VIEW), ("answers", self.answers, {*ANSWER})):
+            if output is not None:
+                require_among(output.fields, known if output.type == STRING else known - NULLABLE, place)
+        go_to = self.go_to
+        if go_to is not None and robots > 1 and "{robot}" not in go_to.action:
+            raise wrong(f"{go_to.action!r}; expected {{robot}} in it", "go_to", "action")
+        for person in () if go_to is None else go_to.places:
+            try:
+                go_to.goal_for(person)  # type: ignore[union-attr]
+            except MessageError as error:
+                raise wrong(str(error).partition(": ")[2], "go_to", "places", person) from None
+
+    @property
+    def sources(self) -> tuple[Observed, ...]:
+        """The topics with reports."""
+        return self.observe if isinstance(self.observe, tuple) else (self.observe,)

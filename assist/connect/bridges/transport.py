@@ -1,0 +1,272 @@
+"""A transport: the part of a bridge that knows a protocol, and what passes between it and the kernel.
+
+A transport connects (`connect`), yields what it receives (`messages`) and sends contents (`send`). What goes where
+can be left as it is here, or follow settings: `advice`, `answer` and `instruction` turn what the service tells into
+outputs.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
+from typing import Any
+
+from .messages import Report
+
+
+def nothing() -> None:
+    """Do nothing."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message that is no report, such as one of an old subscription; it is acknowledged, and that is all.
+
+    Attributes
+    ----------
+    done : callable
+        Acknowledges the message to its sender.
+    """
+
+    done: Callable[[], object] = field(default=nothing, kw_only=True)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to a report.
+
+    Attributes
+    ----------
+    person, id : str or None
+    status : str
+        "recorded" or "refused".
+    detail : str or None
+        Why it was refused.
+    seq : int or None
+        Number of the view that includes it.
+    number : int or None
+        Its place among the reports of this person.
+    next : int or None
+        The number that is expected next, after an answer with a number.
+    origin : str or None
+        What the transport said of where the report came from.
+    """
+
+    person: str | None
+    id: str | None
+    status: str
+    detail: str | None = None
+    seq: int | None = None
+    number: int | None = None
+    next: int | None = None
+    origin: str | None = None
+
+    def as_dict(self, **more: Any) -> dict[str, Any]:
+        """Return what a sender is told, as plain data."""
+        told = {"id": self.id, "status": self.status, "seq": self.seq, "detail": self.detail, "number": self.number}
+        every = told | ({} if self.next is None else {"next": self.next, **more})
+        return {name: value for name, value in every.items() if value is not None or name == "id"}
+
+
+@dataclass(frozen=True)
+class Reported(Message):
+    """A report of an event.
+
+    Attributes
+    ----------
+    report : Report
+    origin : str or None
+        Handed on to the answer.
+    answered : callable or None
+        Called with the answer, in place of `Transport.answer`.
+    """
+
+    report: Report
+    origin: str | None = None
+    answered: Callable[[Answer], object] | None = None
+
+
+@dataclass(frozen=True)
+class Faulty(Message):
+    """A message that reports nothing usable.
+
+    Attributes
+    ----------
+    why : str
+        What is wrong with it.
+    person, id : str or None
+        As far as they are known.
+    origin : str or None
+        Handed on to the answer.
+    """
+
+    why: str
+    person: str | None = None
+    id: str | None = None
+    origin: str | None = None
+
+
+@dataclass(frozen=True)
+class Located(Message):
+    """The location of a robot.
+
+    Attributes
+    ----------
+    robot : int
+        Its number, from 1.
+    person : str or None
+        Where it is; None at its base.
+    id : str or None
+        Of the message; a repeated id changes nothing.
+    """
+
+    robot: int
+    person: str | None
+    id: str | None = None
+
+
+@dataclass(frozen=True)
+class Resumed(Message):
+    """The number of the next report, as the last answer to a person said it; a broker has kept it.
+
+    Attributes
+    ----------
+    person : str
+    next : int
+        The number.
+    """
+
+    person: str
+    next: int
+
+
+@dataclass(frozen=True)
+class Drove(Message):
+    """A robot has ended a drive that `Transport.drive` began, with success or not.
+
+    Attributes
+    ----------
+    id : str
+        Of the drive.
+    reached : bool
+        Whether the robot has reached its goal.
+    why : str
+        Why not.
+    """
+
+    id: str
+    reached: bool
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is to be sent.
+
+    Attributes
+    ----------
+    key : str
+        Where it is sent: a topic, a node.
+    content : object
+        None removes what was sent there before.
+    keep : bool
+        Whether it stands for the present state of something. It then replaces what still waits there, and is sent again
+        after each reconnection.
+    passing : bool
+        Whether it is forgotten if the connection is lost before it was sent.
+    """
+
+    key: str
+    content: Any
+    keep: bool = False
+    passing: bool = False
+
+
+class Transport(ABC):
+    """A protocol that a bridge connects to the service.
+
+    Attributes
+    ----------
+    name : str
+        Its name in messages and metrics.
+    counts : Counter
+        Numbers of `messages`, of reports `recorded` and `refused`, of `connections` and of contents `published`; and
+        whatever else the transport counts.
+    lost : tuple of type
+        Errors that mean that there is no connection.
+    robots : int
+        Number of robots that are instructed; 0 if none are.
+    wait : float
+        Seconds for which later reports of a person wait for an earlier number.
+    at_once : int
+        Contents that are sent at a time.
+    again : float or None
+        Seconds after which what is kept is sent again, to those who have joined meanwhile.
+    drives : bool
+        Whether robots are sent by `drive`, and not by their instructions alone.
+    """
+
+    name: str
+    lost: tuple[type[Exception], ...] = (OSError,)
+    robots = 0
+    wait = 10.0
+    at_once = 1
+    again: float | None = None
+    drives = False
+
+    def __init__(self) -> None:
+        self.counts = Counter[str]()
+        self.session = ""  # identifies the session of the service; set by the bridge
+
+    # What each transport has.
+
+    @abstractmethod
+    def connect(self) -> AbstractAsyncContextManager[object]:
+        """Connect, and subscribe to what is observed, until the context is left."""
+
+    @abstractmethod
+    def messages(self) -> AsyncIterator[Message]:
+        """Yield what is received, until the connection is lost."""
+
+    @abstractmethod
+    async def send(self, key: str, content: Any) -> None:
+        """Send a content, and return when it has arrived."""
+
+    # What goes where.
+
+    def address(self) -> str:
+        """Return where it connects to, for messages."""
+        return self.name
+
+    def initially(self) -> Iterable[Output]:
+        """Yield what is sent before the service has told anything."""
+        return ()
+
+    def advice(self, person: str, view: Mapping[str, Any] | None) -> Iterable[Output]:
+        """Yield what is sent after a person's view has changed, or, with None, when they have left."""
+        yield Output(f"advice/{person}", view, keep=True)
+
+    def answer(self, answer: Answer) -> Iterable[Output]:
+        """Yield what is sent as the answer to a report."""
+        yield Output(f"answers/{answer.person}", answer.as_dict())
+
+    def instruction(self, robot: int, errand: Mapping[str, Any]) -> Iterable[Output]:
+        """Yield what is sent after the instruction of a robot has changed."""
+        yield Output(f"robots/{robot}", errand, keep=True)
+
+    def forget(self, person: str) -> Iterable[Output]:
+        """Yield what removes the answers to a person who has left, if the other side keeps them."""
+        return ()
+
+    def drive(self, robot: int, person: str | None, id: str) -> Iterable[Output]:
+        """Yield what sends a robot to a person, or with None what cancels the drive of this id.
+
+        Raises
+        ------
+        MessageError
+            The robot cannot be sent there.
+        """
+        return ()

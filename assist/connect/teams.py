@@ -1,0 +1,360 @@
+"""Teams for environments: the caller chooses the robots' actions and when an episode begins.
+
+The dynamics are those of `assist.team`: the same random numbers and the same actions have the same outcome. Each
+team has its own clock, so that one team may begin an episode while others continue theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner import Table, sweep, task_of
+
+from ..people.decision import NOTHING, Floats
+from ..people.hidden_type import mean_over_goals
+from ..people.ranges import Population
+from ..person.beliefs import Seen
+from ..person.settings import Setting
+from ..team.beginning import Beginning, Beginnings
+from ..team.common_random_numbers import CommonRandomNumbers
+from ..team.engine import Engine, PeopleAtWork, StepTaken
+from ..team.model_group import ModelGroup, World
+from ..team.pool import MAX_ENUMERATED, Pool
+from ..team.robots_at_work import RobotsAtWork
+from ..team.schedule import Schedule
+from ..team.state import BASE, NOBODY, TeamAction, TeamState
+
+if TYPE_CHECKING:
+    from planner import AnyTask
+
+Ints = NDArray[np.int64]
+
+
+class PoolSource:
+    """The pool of an environment: a given one, or people at a task who are drawn with a seed.
+
+    Unless the seed is given, they are those of seed 0 until the first `reset` with a seed, which draws the people of
+    `kitassist simulate` with that seed. They stay until the end.
+
+    Parameters
+    ----------
+    instance : Pool, cost-to-go, or whatever `planner.load` takes
+    humans : int
+        Number of people in a team.
+    people, seed, setting, population, optional
+        As in `TeamEnv`; not together with a pool.
+
+    Raises
+    ------
+    TypeError
+        `instance` is something else, such as a list of tasks.
+    ValueError
+        A parameter has no effect, or `humans` is not between 1 and the size of the pool.
+    """
+
+    def __init__(
+        self, instance: AnyTask | Pool, humans: int, *, people: int | None, seed: int | None,
+        setting: Setting | None, population: Population | None,
+    ) -> None:  # fmt: skip
+        self._options: dict[str, Any] = {"setting": setting, "population": population}
+        if isinstance(instance, Pool):
+            for name, value in {"people": people, "pool_seed": seed, **self._options}.items():
+                if value is not None:
+                    raise ValueError(f"{name} has no effect with a pool, which has its own; expected none")
+            self._waits, self.pool = False, instance
+        else:
+            self._waits, self._size = seed is None, max(12, humans) if people is None else people
+            if not isinstance(instance, Table):
+                instance = sweep(task_of(instance), max_states=MAX_ENUMERATED)
+            self._table = instance
+            self.pool = self._sample(0 if seed is None else seed)
+        self.pool.setting.require_questions(1)
+        self.pool.setting.require_effect()
+        if not 1 <= humans <= len(self.pool.people):
+            raise ValueError(f"humans {humans}: expected 1 to {len(self.pool.people)}, the size of the pool")
+
+    def _sample(self, seed: int) -> Pool:
+        return Pool.sample(self._table, self._size, seed=seed, states=MAX_ENUMERATED, **self._options)
+
+    def drawn(self, seed: int | None) -> bool:
+        """Draw the pool if this is the first reset with a seed, and return whether it was drawn now."""
+        if seed is None or not self._waits:
+            return False
+        self._waits, self.pool = False, self._sample(seed)
+        return True
+
+
+class WholeTasks:
+    """The tasks of people who are all on enumerated tasks, as `team.engine.Tasks` has them; people may come and go.
+
+    Parameters
+    ----------
+    pool : Pool
+    world : World
+    shape : pair of int
+        N and K.
+
+    Raises
+    ------
+    ValueError
+        The pool is of a truncated task.
+    """
+
+    def __init__(self, pool: Pool, world: World, shape: tuple[int, int]) -> None:
+        for policy in pool.policies:
+            policy.require_enumerated("pool", "an environment has a fixed number of states and actions")
+        self.policies, self._of_people = pool.policies, world == "people"
+        self.groups = {number: ModelGroup(pool, number, world) for number in range(len(pool.policies))}
+        self._first = np.sum([group.row for group in self.groups.values()], axis=0)
+        self.model, self.who = np.zeros((2, *shape), dtype=np.int64)
+
+    def begin(self, teams: Ints, people: Ints, began: Beginning) -> None:
+        """Let people begin in some teams, given by their numbers in the pool, shape (m, K)."""
+        self.model[teams] = began.model
+        self.who[teams] = self._first[people] + began.goal if self._of_people else began.mind
+
+    def rows(self, places: Ints, active: Ints) -> Ints:
+        """Return the row of each person, which is the place."""
+        del active
+        return places
+
+
+class AllTeams:
+    """Random numbers that advance in all teams at a time, whichever of them are at work."""
+
+    def __init__(self, draws: CommonRandomNumbers, teams: int) -> None:
+        self._draws, self._every = draws, np.arange(teams)
+
+    def draw(self, kind: int, rows: Ints) -> Floats:
+        """Return uniform numbers of a kind for some teams, shape (m, K)."""
+        return self._draws.draw(kind, self._every)[rows]
+
+
+class Teams:
+    """N teams of K people each, with the robots of the pool's setting, which begin episodes one by one.
+
+    Attributes
+    ----------
+    engine : Engine
+        The teams at work.
+    x, finished, theta, people, model : arrays, shape (N, K)
+        States and so on, as in `PeopleAtWork`; `people` are indices into the pool.
+    erred : bool array, shape (N, K)
+    belief : float array, shape (N, K, H, T), or None
+        As in `TeamState`; None without `filters`.
+    location : int array, shape (N, M)
+        Where each robot is or is going.
+
+    Raises
+    ------
+    ValueError
+        The pool is of a truncated task.
+    """
+
+    def __init__(
+        self,
+        pool: Pool,
+        teams: int,
+        places: int,
+        *,
+        distance: ArrayLike | None = None,
+        world: World = "people",
+        filters: bool = True,
+    ) -> None:
+        pool.setting.require_all_seen("an environment")
+        shape = (teams, places)
+        self.pool, self._beginnings, self._tasks = pool, Beginnings(pool, world), WholeTasks(pool, world, shape)
+        self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
+        self._prior = np.array([policy.pomdp.prior for policy in pool.policies])
+        self.people, self.model = np.zeros(shape, dtype=np.int64), self._tasks.model
+        self.x, row, goal, seen = np.zeros((4, *shape), dtype=np.int64)
+        self.theta, self.finished, self.erred = (
+            np.zeros(shape),
+            np.zeros(shape, dtype=bool),
+            np.zeros(shape, dtype=bool),
+        )
+        self.belief = np.zeros((*shape, *self._prior.shape[1:])) if filters else None
+        presence = Schedule.of(places)
+        them = PeopleAtWork(
+            self.people, AllTeams(CommonRandomNumbers(0, np.arange(teams), places), teams), world == "model", self.x,
+            row, goal, self.theta, seen, self.finished, presence.joins, presence.leaves,
+            pool.setting.neighbourhood(places),
+        )  # fmt: skip
+        flat = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self._prior.shape[1:])
+        known, robots = (
+            Seen(row.reshape(-1), flat, self.erred.reshape(-1)),
+            RobotsAtWork(self.fleet, self.travel, teams),
+        )
+        self.engine, self.location = Engine(self._tasks, them, robots, known), robots.location
+
+    @property
+    def clock(self) -> Ints:
+        """The number of steps of each episode so far, shape (N,)."""
+        return self.engine.clock
+
+    def draw_from(self, draws: CommonRandomNumbers) -> None:
+        """Take the random numbers of all that happens from these, from now on."""
+        self.engine.people.draws = AllTeams(draws, len(self.x))
+
+    def begin(self, rows: NDArray[np.int64], people: NDArray[np.int64], draw: Callable[[int], Floats]) -> None:
+        """Begin an episode in some teams.
+
+        Parameters
+        ----------
+        rows : int array, shape (m,)
+        people : int array, shape (m, K)
+            Indices into the pool.
+        draw : callable
+            As in `Beginnings.of`.
+        """
+        began, them = self._beginnings.of(people, draw), self.engine.people
+        self._tasks.begin(rows, people, began)
+        self.people[rows], them.goal[rows], them.theta[rows], them.seen[rows] = people, began.goal, began.theta, 0
+        self.x[rows], self.finished[rows], self.erred[rows] = began.place, began.finished, False
+        if self.belief is not None:
+            self.belief[rows] = self._prior[began.model]
+        self.engine.robots.begin(rows)
+        self.engine.clock[rows] = 0
+        self.engine.changed()
+
+    def free(self) -> NDArray[np.bool_]:
+        """Return which robots are not under way, shape (N, M)."""
+        return self.engine.robots.free(self.engine.clock)
+
+    def state(self) -> TeamState:
+        """Return the state that team policies read; its step is the largest clock of any team."""
+        return self.engine.state()
+
+    def collisions(self, person: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which robots are sent to where another one goes or stays with its task, shape (N, M).
+
+        Of two robots that are sent to a person, the first one goes there. A robot that is not sent makes room.
+        """
+        refused = np.zeros(person.shape, dtype=bool)
+        while True:
+            after = np.where((person == NOBODY) | refused, self.location, person)
+            moves = after != self.location
+            stays = ~moves & (person != NOBODY) & ~refused
+            same = (after[:, :, None] == after[:, None]) & (after != BASE)[:, :, None]
+            before = np.tri(person.shape[1], k=-1, dtype=bool)  # [m, l]: l is before m
+            wrong = moves & (same & (before & moves[:, None] | stays[:, None])).any(axis=2)
+            if not wrong.any():
+                return refused
+            refused |= wrong
+
+    def step(self, rows: NDArray[np.int64], action: TeamAction) -> StepTaken:
+        """Send the robots, and let each person who has not finished act once, in some teams; the others wait.
+
+        Parameters
+        ----------
+        rows : int array, shape (m,)
+        action : TeamAction
+            The actions of all teams; those of the others send nobody.
+        """
+        waits = np.ones(len(self.x), dtype=bool)
+        waits[rows] = False
+        self.engine.leave_out(waits)
+        taken = self.engine.step(action)
+        self.engine.leave_out(np.zeros_like(waits))
+        return taken
+
+
+class Sight:
+    """Observations of teams for a learner, and masks of possible actions; the first axis of each array is the team.
+
+    Attributes
+    ----------
+    robots : int
+        R, the largest number of robot actions in any state of any model.
+    states, models : int
+        The number of states of the largest model, and the number of models.
+    hidden : tuple of int
+        H and T, the shape of a belief.
+    largest : float
+        The value that stands for the infinite cost-to-go of a dead end: 1 above the largest finite one (cost units).
+    """
+
+    def __init__(self, teams: Teams, *, beliefs: bool) -> None:
+        self.teams, self.beliefs = teams, beliefs
+        pomdps = [policy.pomdp for policy in teams.pool.policies]
+        self.hidden, self._prior = pomdps[0].prior.shape, np.array([pomdp.prior for pomdp in pomdps])
+        lengths = [len(pomdp.robot_actions) for pomdp in pomdps]
+        self.robots = max(pomdp.suggested.shape[1] for pomdp in pomdps)
+        self.states, self.models = max(lengths), len(pomdps)
+        self._offset = np.cumsum([0, *lengths[:-1]])
+        self._count = np.concatenate([pomdp.robot_actions for pomdp in pomdps])
+        h = np.concatenate([pomdp.model.choices.goals.h for pomdp in pomdps], axis=1)
+        self.largest = float(h[np.isfinite(h)].max()) + 1.0
+        self._h = np.where(np.isfinite(h), h, self.largest).astype(np.float32)
+
+    @cached_property
+    def _alone(self) -> Floats:
+        """Probabilities of doing what each robot action suggests, without it; shape (states of all models, R, H).
+
+        Entry [x, r, h] is the probability that a person of type h chooses the action that robot action r suggests.
+        For r = 0, nothing, it is the probability of an optimal action.
+        """
+        parts = []
+        for policy in self.teams.pool.policies:
+            pomdp = policy.pomdp
+            slot = np.maximum(pomdp.suggested, 0)[:, :, None]
+            part = np.zeros((len(slot), self.robots, pomdp.chosen.shape[2]))
+            suggests = (pomdp.suggested != NOTHING)[:, :, None]
+            part[:, : slot.shape[1]] = np.where(suggests, np.take_along_axis(pomdp.chosen, slot, axis=1), 0.0)
+            part[:, 0] = np.where(pomdp.model.choices.goals.optimal[:, :, pomdp.hidden.goal_of], pomdp.chosen, 0.0).sum(
+                axis=1
+            )
+            parts.append(part)
+        return np.concatenate(parts).clip(0.0, 1.0)
+
+    @cached_property
+    def _alone_at_first(self) -> NDArray[np.float32]:
+        """The mean of `_alone` over types under the robot's prior, shape (states of all models, R)."""
+        prior = np.concatenate([
+            np.broadcast_to(policy.pomdp.prior.sum(axis=1), (len(policy.pomdp.robot_actions), len(policy.pomdp.prior)))
+            for policy in self.teams.pool.policies
+        ])  # fmt: skip
+        return np.einsum("nrb,nb->nr", self._alone, prior).clip(0.0, 1.0).astype(np.float32)
+
+    def mask(self) -> NDArray[np.int8]:
+        """Return the mask of robot actions of each person, shape (N, K, R); finished people have only action 0."""
+        teams = self.teams
+        count = np.where(teams.finished, 1, self._count[self._offset[teams.model] + teams.x])
+        return (np.arange(self.robots) < count[:, :, None]).astype(np.int8)
+
+    def _cost_to_go(self, row: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the mean cost-to-go over the goals, shape (N, K), under the beliefs or, without them, the prior."""
+        known = self.teams.pool.policies[0].pomdp.hidden
+        if len(known.goals) == 1:
+            return self._h[0, row]
+        belief = self._prior[self.teams.model] if self.teams.belief is None else self.teams.belief
+        return mean_over_goals(
+            np.moveaxis(self._h[:, row].astype(np.float64), 0, -1), known.marginal(belief, "goal")
+        ).astype(np.float32)
+
+    def seen(self) -> dict[str, NDArray[Any]]:
+        """Return the observation of all people, each array of shape (N, K) or (N, K, ...)."""
+        teams = self.teams
+        row = self._offset[teams.model] + teams.x
+        active = ~teams.finished
+        if self.beliefs and teams.belief is not None:
+            beta = teams.belief.sum(axis=3)
+            alone = np.einsum("nkrb,nkb->nkr", self._alone[row], beta).clip(0.0, 1.0).astype(np.float32)
+        else:
+            alone = self._alone_at_first[row]
+        seen: dict[str, NDArray[Any]] = {
+            "active": active.astype(np.int8),
+            "alone": alone * active[:, :, None],
+            "cost_to_go": self._cost_to_go(row) * active,
+            "erred": (teams.erred & active).astype(np.int8),
+            "model": teams.model.copy(),
+            "state": teams.x.copy(),
+        }
+        if self.beliefs and teams.belief is not None:
+            seen["belief"] = teams.belief.astype(np.float32).clip(0.0, 1.0)
+        return seen

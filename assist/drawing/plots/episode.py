@@ -1,0 +1,172 @@
+"""The figure of one episode: each person's progress to the goal, and the robot's actions. Needs the extra `plots`."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING
+
+from ...people.decision import Floats
+from ...team.episode import Episode
+from ...team.trace import Trace, robot_is_at
+from .style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, VERMILLION, require
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, sees: Floats | None = None) -> Figure:
+    """Plot one episode: each person's cost-to-go over time, the suggestions, and where the robot was.
+
+    Parameters
+    ----------
+    episode : Episode
+        The episode's people and totals.
+    trace : list of dict
+        The episode's actions, as `simulate` traces them.
+    alone : list of dict, optional
+        The actions of the same episode without a robot, plotted for comparison.
+    sees : float array, shape (K, K), optional
+        Weight with which each person sees each other one (`Neighbours.weights`). A line leads from each suggestion to
+        the stations of those who saw it.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    require()
+    from matplotlib.ticker import MaxNLocator
+
+    from .shown_figure import ShownFigure
+
+    places = sorted({row["place"] for row in trace})
+    steps = max(row["step"] for row in trace) + 1
+    alone_steps = max((row["step"] for row in alone or []), default=0) + 1
+    shown = max(steps, min(alone_steps, 2 * steps))  # a person in a trap would squeeze the rest
+    highest = max(row["cost_to_go"] or 0 for row in [*trace, *(r for r in alone or [] if r["step"] < shown)])
+    executed = sum(episode.executed)
+    title = textwrap.fill(
+        f"Episode {episode.episode} under the policy '{episode.policy}': {sum(episode.actions)} human actions, "
+        f"suggestions: {episode.interventions - executed}, "
+        + (f"executed by the robot: {executed}, " if executed else "")
+        + f"moves: {episode.moves}",
+        100,
+    )
+    above = 0.55 + 0.2 * (title.count("\n") + 1)  # inches
+    height = above + 1.15 + 1.9 * len(places)  # inches; 1.9 for each panel
+    figure = ShownFigure(figsize=(PAGE_WIDTH, height))
+    axes = figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0]
+    figure.subplots_adjust(left=0.08, right=0.78, top=1 - above / height, bottom=1.15 / height, hspace=0.35)
+    figure.suptitle(title, fontsize=11, y=1 - 0.2 / height, va="top")
+    for place, axis in zip(places, axes, strict=True):
+        own, without = ([row for row in rows or [] if row["place"] == place] for rows in (trace, alone))
+        _panel(axis, place, own, [row for row in without if row["step"] < shown])
+        axis.set_title(_short(episode.people[place]), loc="left", fontsize=10, fontweight="bold")
+        _about(axis, episode, place, own, without)
+        axis.set_ylim(0, highest * 1.12)
+        axis.set_xlim(0, shown * 1.02)
+        axis.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=4))
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.grid(axis="y", alpha=0.3)
+    if sees is not None:
+        _seen(figure, dict(zip(places, axes, strict=True)), trace, sees)
+    axes[len(axes) // 2].set_ylabel("cost-to-go")
+    axes[-1].set_xlabel("step (in each, every person acts once)")
+    figure.legend(
+        handles=_entries(bool(alone), sees is not None), loc="lower center", ncols=3, frameon=False, fontsize=9
+    )
+    return figure
+
+
+def _panel(axis: Axes, place: int, rows: Trace, alone: Trace) -> None:
+    """Plot one person's cost-to-go with the robot and without it, the suggestions, and when the robot was there."""
+    for step in {row["step"] for row in rows if robot_is_at(row, place)}:
+        axis.axvspan(step, step + 1, color=ORANGE, alpha=0.22, linewidth=0)
+    _line(axis, alone, GREY, "--", 1.3)
+    _line(axis, rows, BLUE, "-", 2.0)
+    for followed in (True, False):
+        told = [row for row in rows if row["suggestion"] and (row["suggestion"] == row["action"]) == followed]
+        axis.plot(
+            [row["step"] + 0.5 for row in told],
+            [row["cost_to_go"] or 0 for row in told],
+            linestyle="none", marker="v", markersize=8, zorder=5, clip_on=False,
+            color=GREEN, markerfacecolor=GREEN if followed else "white",
+        )  # fmt: skip
+    if rows[-1]["cost_to_go_after"] == 0:
+        axis.plot([rows[-1]["step"] + 1], [0], marker="o", markersize=7, color=BLUE, zorder=6, clip_on=False)
+
+
+def _seen(figure: Figure, axes: dict[int, Axes], trace: Trace, sees: Floats) -> None:
+    """Draw a line from each suggestion to the stations of those who saw it and went on; its weight is its opacity."""
+    from matplotlib.patches import ConnectionPatch
+
+    height = {(row["place"], row["step"]): row["cost_to_go"] or 0 for row in trace}
+    last = {row["place"]: row["step"] for row in trace}
+    for row in trace:
+        here, step = row["place"], row["step"]
+        for place, axis in axes.items():
+            if row["suggestion"] and sees[place, here] > 0 and last[place] > step:
+                line = ConnectionPatch(
+                    (step + 0.5, height[here, step]), (step + 0.5, height[place, step]), "data", "data",
+                    axesA=axes[here], axesB=axis, color=VERMILLION, linewidth=0.9,
+                    alpha=0.15 + 0.55 * float(sees[place, here]),
+                )  # fmt: skip
+                line.set_gid("seen")
+                figure.add_artist(line)
+
+
+def _about(axis: Axes, episode: Episode, place: int, rows: Trace, alone: Trace) -> None:
+    """Write the person's parameters and number of actions, with the robot and without it, next to a panel."""
+    beta, theta, sigma = (values[place] for values in (episode.beta, episode.theta, episode.sigma))
+    lines = [
+        (f"expertise β = {beta:.2f}", "#555555"),
+        (f"initial influence θ = {theta:.2f}", "#555555"),
+        (f"misconception σ = {sigma:.2f}", "#555555"),
+        (f"{_ending(rows)} action{'s' * (_actions(rows) != 1)}", BLUE),
+    ]
+    if alone:
+        lines.append((f"alone {_ending(alone)}", GREY))
+    for number, (text, color) in enumerate(lines):
+        # Right of the panel, as fractions of its width and height.
+        axis.text(1.02, 1 - 0.19 * number, text, transform=axis.transAxes, va="top", fontsize=9, color=color)
+
+
+def _ending(rows: Trace) -> str:
+    return f"{'finished' if rows[-1]['cost_to_go_after'] == 0 else 'not finished'} after {_actions(rows)}"
+
+
+def _actions(rows: Trace) -> int:
+    """Return the number of a person's own actions; a robot may reach the goal before the person acts."""
+    return sum(row["action"] is not None for row in rows)
+
+
+def _short(name: str, most: int = 80) -> str:
+    return name if len(name) <= most else f"{name[: most - 1]}…"
+
+
+def _entries(alone: bool, seen: bool) -> list[Artist]:
+    """Return the entries of the legend."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    told = {"linestyle": "none", "marker": "v", "markersize": 8, "color": GREEN}
+    return [
+        Line2D([], [], color=BLUE, linewidth=2, label="with the robot"),
+        *([Line2D([], [], color=GREY, linewidth=1.3, linestyle="--", label="the same people, alone")] if alone else []),
+        Patch(color=ORANGE, alpha=0.22, label="robot present"),
+        Line2D([], [], **told, label="suggestion, followed"),  # type: ignore[arg-type]
+        Line2D([], [], **told, markerfacecolor="white", label="suggestion, not followed"),  # type: ignore[arg-type]
+        *([Line2D([], [], color=VERMILLION, linewidth=0.9, label="seen by a neighbour")] if seen else []),
+    ]
+
+
+def _line(axis: Axes, rows: Trace, color: str, style: str, width: float) -> None:
+    """Plot a person's cost-to-go at every step, including the end of the last action."""
+    if rows:
+        x = [row["step"] for row in rows] + [rows[-1]["step"] + 1]
+        y = [row["cost_to_go"] for row in rows] + [rows[-1]["cost_to_go_after"]]
+        heights = [float("nan") if value is None else value for value in y]
+        axis.plot(x, heights, color=color, linestyle=style, linewidth=width, zorder=4)

@@ -1,0 +1,412 @@
+"""Explanations of advice: why this step, why this person now, or why nothing, as data and as sentences.
+
+The data are exact differences of h*, probabilities under the robot's belief, and expected savings of the person's
+policy. The sentences say no more than the data. A probability is what the robot expects, never what it has observed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
+
+from ..declare.catalogue import FIRST, Catalogue, catalogue
+from .contrast import Contrast
+
+Cause = Literal[
+    "paused", "never", "finished", "probably-finished", "nobody", "waiting", "asked", "no-mistake",
+    "mistake-elsewhere", "no-step", "cost",
+]  # fmt: skip
+"""Why nothing is suggested; see `WhyNothing`."""
+
+
+@dataclass(frozen=True, slots=True)
+class WhyStep:
+    """Why a step is suggested.
+
+    Attributes
+    ----------
+    step : str
+        In PDDL notation.
+    alone : float
+        How likely the person is to choose it without a suggestion, under the belief.
+    likely : Contrast or None
+        The step against the action that the person is most likely to choose among those that are worse; if none is
+        worse, among all others. None if there is no other.
+    goal : str or None
+        The goal to which the comparisons refer, if the person pursues one of several.
+    goal_probability : float
+        How probable this goal is.
+    """
+
+    step: str
+    alone: float
+    likely: Contrast | None
+    goal: str | None = None
+    goal_probability: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Prospect:
+    """What a suggestion to a person is expected to bring.
+
+    Attributes
+    ----------
+    person : str or None
+        None where it is not said who it is.
+    action : str or None
+        The best suggestion; None where it is not said.
+    worth : float
+        By how much it lowers the person's expected discounted cost, in cost units, before its own cost.
+    cost : float
+        Cost of the suggestion, in cost units.
+    moving : float
+        Cost of the robot's way to the person, in cost units.
+    seen : float
+        By how much it is expected to lower the cost of those who see it, in cost units, if the policy considers them.
+    """
+
+    person: str | None
+    action: str | None
+    worth: float
+    cost: float
+    moving: float
+    seen: float = 0.0
+
+    @property
+    def score(self) -> float:
+        """The score of Algorithm 1: the expected saving minus the costs of the suggestion and of the way."""
+        return self.worth + self.seen - self.cost - self.moving
+
+    @property
+    def threshold(self) -> float:
+        """The cost of this suggestion at which its score would be 0, if later ones kept their cost."""
+        return self.worth + self.seen - self.moving
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a person saw last of a suggestion to a neighbour, in their present task.
+
+    Attributes
+    ----------
+    person : str
+    neighbour : str or None
+        None where it is not said who it is.
+    followed : bool
+        Whether the neighbour followed the suggestion.
+    """
+
+    person: str
+    neighbour: str | None
+    followed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class WhyPerson:
+    """Why a person is helped now.
+
+    Attributes
+    ----------
+    prospect : Prospect
+    here : bool
+        Whether the robot was with the person before.
+    arrived : bool
+        Whether it is there.
+    others : tuple of Prospect
+        The other people who could be helped, the largest score first.
+    rule : str
+        Name of the team's policy.
+    saw : Sight or None
+        What the person saw last of a neighbour.
+    """
+
+    prospect: Prospect
+    here: bool
+    arrived: bool
+    others: tuple[Prospect, ...]
+    rule: str
+    saw: Sight | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WhyQuestion:
+    """Why a question is asked before anything is suggested.
+
+    Attributes
+    ----------
+    person : str
+    goal : str or None
+        The goal that is asked about; None for the last action.
+    worth : float
+        Expected worth of the answer minus the cost of the question, in cost units.
+    """
+
+    person: str
+    goal: str | None
+    worth: float
+
+
+@dataclass(frozen=True, slots=True)
+class WhyNothing:
+    """Why nothing is suggested, and what would have to change.
+
+    Attributes
+    ----------
+    reason : str
+        "paused": suggestions are paused. "never": the team's policy makes none. "finished", "probably-finished": the
+        person has reached the goal, or probably has. "nobody": no one is at work. "waiting": everybody at work has a
+        suggestion. "asked": a question is open. "no-mistake", "mistake-elsewhere": the policy "reactive" helps after
+        mistakes, and there was none, or the robot is with another person. "no-step": there is no step to suggest.
+        "cost": the suggestion is expected to save less than it costs, or the policy considers more than that.
+    rule : str
+        Name of the team's policy.
+    prospect : Prospect or None
+        The best suggestion, if the reason is "cost".
+    exact : bool
+        Whether the policy makes this suggestion exactly if its cost is below `prospect.threshold`.
+    elsewhere : bool
+        Whether the robot's attention is with another person.
+    about : str or None
+        The person who is asked about; None for the whole team.
+    question : WhyQuestion or None
+        The open question, if the reason is "asked".
+    """
+
+    reason: Cause
+    rule: str
+    prospect: Prospect | None = None
+    exact: bool = False
+    elsewhere: bool = False
+    about: str | None = None
+    question: WhyQuestion | None = None
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why the robot suggests what it does, or nothing.
+
+    Attributes
+    ----------
+    step : WhyStep or None
+        Why this step; None without a suggestion.
+    now : WhyPerson or None
+        Why this person, now; None if no person is attended to.
+    nothing : WhyNothing or None
+        Why nothing is suggested.
+    against : Contrast or None
+        The step against an action that was asked about.
+    words : mapping of str to str
+        Actions in the domain's own words, as far as it has them.
+    state_probability : float
+        How probable the task state is for which steps are compared, the most probable one. Expected savings are
+        averages over all states.
+    """
+
+    step: WhyStep | None = None
+    now: WhyPerson | None = None
+    nothing: WhyNothing | None = None
+    against: Contrast | None = None
+    words: Mapping[str, str] = field(default_factory=dict, repr=False)
+    state_probability: float = 1.0
+
+    def sentences(self, language: str = FIRST) -> list[str]:
+        """Return the explanation as sentences.
+
+        Parameters
+        ----------
+        language : str
+            As in `catalogue`.
+
+        Raises
+        ------
+        ValueError
+            There is no such language.
+        """
+        return list(self._sentences(catalogue(language)))
+
+    def text(self, language: str = FIRST) -> str:
+        """Return the explanation as one text; arguments as in `sentences`."""
+        return " ".join(self.sentences(language))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the data in the types that JSON has; an infinite difference is None."""
+        plain: dict[str, Any] = {
+            name: None if part is None else asdict(part)
+            for name, part in (
+                ("step", self.step), ("now", self.now), ("nothing", self.nothing), ("against", self.against)
+            )
+        }  # fmt: skip
+        if self.step is not None and self.step.goal is None:
+            del plain["step"]["goal"], plain["step"]["goal_probability"]
+        if self.nothing is not None and self.nothing.question is None:
+            del plain["nothing"]["question"]
+        if self.now is not None and self.now.saw is None:
+            del plain["now"]["saw"]
+        if self.state_probability < 1:
+            plain["state_probability"] = self.state_probability
+        for one in (plain["against"], (plain["step"] or {}).get("likely")):
+            if one is not None and not math.isfinite(one["difference"]):
+                one["difference"] = None
+        return plain
+
+    @property
+    def actions(self) -> tuple[str, ...]:
+        """The actions that the sentences mention, in PDDL notation."""
+        found = [] if self.step is None else [self.step.step]
+        for one in (self.against, None if self.step is None else self.step.likely):
+            if one is not None:
+                found.append(one.alternative)
+                if one.consequence is not None and one.consequence.action is not None:
+                    found.append(one.consequence.action)
+        if self.nothing is not None and self.nothing.prospect is not None and self.nothing.prospect.action is not None:
+            found.append(self.nothing.prospect.action)
+        return tuple(dict.fromkeys(found))
+
+    def in_words(self, words: Mapping[str, str]) -> Explanation:
+        """Return the same explanation with actions in the given words."""
+        return replace(self, words=words)
+
+    def in_state(self, probability: float) -> Explanation:
+        """Return the same explanation for a task state that has this probability."""
+        return replace(self, state_probability=probability)
+
+    def without_names(self) -> Explanation:
+        """Return the same explanation without the names of other people."""
+        if self.now is None:
+            return self
+        others = tuple(replace(other, person=None, action=None) for other in self.now.others)
+        saw = None if self.now.saw is None else replace(self.now.saw, neighbour=None)
+        return replace(self, now=replace(self.now, others=others, saw=saw))
+
+    def _sentences(self, say: Catalogue) -> Iterator[str]:
+        if self.step is not None:
+            yield say("step.suggestion", step=self._action(say, self.step.step))
+            if self.state_probability < 1:
+                yield say("step.state", probability=say.percent(self.state_probability))
+            if self.step.goal is not None:
+                yield say("step.goal", goal=self.step.goal, probability=say.percent(self.step.goal_probability))
+            if self.against is None:
+                yield from self._step(say, self.step)
+                likely = self.step.likely
+                if (
+                    likely is not None
+                    and likely.difference <= 0
+                    and self.now is not None
+                    and self.now.prospect.worth > 0
+                ):
+                    yield say("step.later")
+        if self.against is not None:
+            yield self._contrast(say, self.against)
+        elif self.now is not None:
+            yield from _person(say, self.now, self.step is not None)
+        if self.nothing is not None:
+            yield from self._nothing(say, self.nothing)
+
+    def _action(self, say: Catalogue, action: str) -> str:
+        return say.action(action, self.words.get(action))
+
+    def _step(self, say: Catalogue, why: WhyStep) -> Iterator[str]:
+        if why.likely is None:
+            yield say("step.only")
+            return
+        yield self._contrast(say, why.likely)
+        if why.likely.probability is not None:
+            chances = {"alone": say.percent(why.alone), "probability": say.percent(why.likely.probability)}
+            yield say("step.alone", **chances)
+
+    def _contrast(self, say: Catalogue, one: Contrast) -> str:
+        table = f"contrast.{one.unit}"
+        values = {"alternative": self._action(say, one.alternative), "step": self._action(say, one.step)}
+        if one.difference == 0:
+            return say(f"{table}.equal" if one.consequence is None else "contrast.cost.longer", **values)
+        size = abs(one.difference)
+        n = "" if math.isinf(size) else say.number(size) if size % 1 else f"{size:.0f}"
+        if one.difference < 0:
+            return say(f"{table}.better{'_one' * (size == 1)}", n=n, **values)
+        values["more"] = say.texts[f"{table}.more{'_one' * (size == 1)}"].format(n=n)
+        if one.consequence is None:
+            return say(f"{table}.plain", n=n, **values)
+        if one.consequence.action is not None:
+            values["action"] = self._action(say, one.consequence.action)
+        kind = one.consequence.kind.replace("-", "_") + "_again" * one.consequence.again
+        return say(f"{table}.{kind}", n=n, **values)
+
+    def _nothing(self, say: Catalogue, why: WhyNothing) -> Iterator[str]:
+        if why.reason == "no-mistake":
+            yield say("nothing.no_mistake" if why.about is None else "nothing.no_mistake_of_yours")
+        elif why.question is not None:
+            yield from _asks(say, why.question, why.about)
+        elif why.prospect is None:
+            yield say(f"nothing.{why.reason.replace('-', '_')}")
+        else:
+            yield from self._too_little(say, why, why.prospect)
+
+    def _too_little(self, say: Catalogue, why: WhyNothing, best: Prospect) -> Iterator[str]:
+        if why.elsewhere:
+            yield say("nothing.elsewhere")
+        if best.action is not None and best.person is not None:
+            action = self._action(say, best.action)
+            if why.about is None:
+                yield say("nothing.best", action=action, person=best.person)
+            else:
+                yield say("nothing.best_for_you", action=action)
+        yield _brings(say, "nothing", best, here=False)
+        if why.elsewhere:
+            return
+        if not why.exact:
+            yield say("nothing.rule", rule=why.rule)
+        elif best.score > 0:
+            yield say("nothing.pays")
+        elif best.threshold > best.cost / 1000:  # anyone would call a smaller cost none
+            yield say("nothing.threshold", threshold=say.below(best.threshold))
+        elif best.threshold > 0:
+            yield say("nothing.at_no_cost")
+        else:
+            yield say("nothing.for_the_way" if 0 < best.worth <= best.moving else "nothing.not_for_free")
+
+
+def _asks(say: Catalogue, why: WhyQuestion, about: str | None) -> Iterator[str]:
+    """Yield sentences on an open question, to the person who is asked, or else about them."""
+    if about is None:
+        yield say("nothing.asked", person=why.person)
+    elif why.goal is None:
+        yield say("nothing.asked_action")
+    else:
+        yield say("nothing.asked_goal", goal=why.goal)
+    yield say("nothing.asked_worth", worth=say.about(why.worth))
+
+
+def _brings(say: Catalogue, table: str, one: Prospect, *, here: bool) -> str:
+    """Return a sentence on what a suggestion is expected to save, and on the costs of the suggestion and the way."""
+    worth = say.about(one.worth) if one.worth > 0 else say.texts["nought"]
+    way = "_way" if one.moving > 0 else "_here" if here else ""
+    return say(f"{table}.saving{way}", worth=worth, cost=say.number(one.cost), moving=say.number(one.moving))
+
+
+def _person(say: Catalogue, why: WhyPerson, suggests: bool) -> Iterator[str]:
+    mine = why.prospect
+    if not suggests:
+        yield say("person.present" if why.arrived else "person.coming")
+    if why.rule == "reactive":
+        yield say("person.mistake")
+        return
+    if why.saw is not None:
+        key = "person.saw_followed" if why.saw.followed else "person.saw_declined"
+        neighbour = say.texts["somebody"] if why.saw.neighbour is None else why.saw.neighbour
+        yield say(key, neighbour=neighbour)
+    if suggests or not why.arrived:
+        yield _brings(say, "person", mine, here=why.here)
+    if mine.seen:
+        yield say("person.seen" if mine.seen > 0 else "person.seen_harm", worth=say.about(abs(mine.seen)))
+    left = say.about(mine.score) if mine.score > 0 else say.texts["nought"]
+    best = why.others[0].score if why.others else 0.0
+    if not why.others:
+        yield say("person.nobody_else", left=left)
+    elif best <= 0:
+        yield say("person.others_nothing", left=left)
+    else:
+        key = "person.others_less" if best <= mine.score else "person.others_more"
+        key = "person.others_alike" if math.isclose(best, mine.score, abs_tol=1e-9) else key
+        yield say(key, left=left, other=say.about(best), rule=why.rule)

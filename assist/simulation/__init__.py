@@ -1,5 +1,0 @@
-"""Simulated episodes of teams, and the pools of people from whom teams are drawn."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

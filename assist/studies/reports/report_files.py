@@ -1,0 +1,91 @@
+"""The files of a report: numbers, Markdown, and a page in which nothing but the program's own markup has an effect.
+
+Titles, names, reasons and options are anybody's words. Markup in them is shown as it is written; links lead nowhere.
+The page's own policy forbids scripts and whatever would be loaded from elsewhere.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from planner.system.errors import MissingExtraError
+from planner.system.files import atomic
+from planner.system.results import markdown_cell, markdown_table
+
+from ...drawing.plots import style
+from . import wording
+
+FIGURES = "figures"
+
+ELSEWHERE = re.compile(r'<img alt="([^"]*)" src="(?!figures/[\w-]+\.(?:png|svg)")[^"]*"[^>]*/>')
+"""Images that are no figures of the report; their descriptions stay."""
+IMAGE = re.compile(r'<img alt="([^"]*)" src="([^"]*)\.png" />')
+
+
+def require(*packages: str) -> None:
+    """Check that figures, and the packages that a report needs, can be made.
+
+    Raises
+    ------
+    MissingExtraError
+    """
+    style.require()
+    for package in packages:
+        if importlib.util.find_spec(package) is None:
+            raise MissingExtraError("reports need", package, "study")
+
+
+def write_files(folder: Path, summary: Any, text: str, page: str) -> None:
+    """Write a report's numbers, its text in Markdown and its page to a folder."""
+    numbers = json.dumps(summary, indent=1) + "\n"
+    for name, content in {"summary.json": numbers, "report.md": text, "report.html": page}.items():
+        with atomic(folder / name) as path:
+            path.write_text(content, encoding="utf-8")
+
+
+def rendered(template: str, **content: Any) -> str:
+    """Return the text that a Jinja2 template of this folder makes of the content, which HTML escapes, not Markdown."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=jinja2.select_autoescape(["html.jinja"], default=False), undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    words = (wording.number, wording.prior, wording.short, wording.value)
+    environment.filters |= {word.__name__: word for word in words}
+    environment.filters |= {"table": markdown_table, "cell": markdown_cell}
+    return environment.get_template(template).render(content).rstrip() + "\n"
+
+
+def html_page(title: str, text: str, *, dark: bool, language: str = "en") -> str:
+    """Return a text in Markdown as an HTML page.
+
+    Parameters
+    ----------
+    title, text : str
+    dark : bool
+        Whether there are figures for dark backgrounds, too.
+    language : str
+        Tag of the text's language.
+    """
+    import markdown
+
+    reader = markdown.Markdown(extensions=["tables"])
+    reader.preprocessors.deregister("html_block")
+    for pattern in ("html", "autolink", "automail", "link", "reference", "short_reference", "image_reference"):
+        reader.inlinePatterns.deregister(pattern)
+    body = ELSEWHERE.sub(r"\1", reader.convert(text))
+    body = IMAGE.sub(_for_both_backgrounds, body) if dark else body
+    return rendered("page.html.jinja", title=title, body=body, dark=dark, language=language)
+
+
+def _for_both_backgrounds(image: re.Match[str]) -> str:
+    """Return an image element that selects the figure for the page's background."""
+    text, name = image.groups()
+    dark = f'<source srcset="{name}-dark.svg" media="(prefers-color-scheme: dark)">'
+    return f'<picture>{dark}<img alt="{text}" src="{name}.svg"></picture>'

@@ -1,0 +1,254 @@
+"""A simulation study as data: populations, tasks, policies, settings and numbers of repeats.
+
+A study, which `assist.studies.protocol` reads from a file, consists of conditions. Each condition crosses populations,
+tasks, settings and priors; it draws pools of people and simulates teams of them. A `Cell` is the unit of work: one
+pool. Its people and random numbers depend only on the study's seed and the number of the repeat. Policies, team sizes,
+settings and conditions are therefore compared with common random numbers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from planner import Instance
+
+from ..declare.declared import Count, Number, Seed, Text, Texts, Truth, declared, plain
+from ..people.ranges import Population
+from ..people.user_code import UserChoiceModel
+from ..person.settings import Setting
+
+SCHEMA = 1
+"""Version of the format of `episodes.jsonl` and `summary.json`."""
+
+IRRELEVANT = {
+    "file",
+    "title",
+    "repeats",
+    "focus",
+    "contrasts",
+    "reference",
+}  # for the episodes
+OWN = "own"
+"""The prior that equals the population from which people are drawn."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A condition of a study, which crosses all its populations, tasks, settings and priors.
+
+    Attributes
+    ----------
+    name : str
+    populations : tuple of str
+        Populations from which people are drawn.
+    instances : tuple of str
+    policies : tuple of str
+    humans : tuple of int
+        Team sizes K.
+    settings : tuple of pairs
+        Labels and settings.
+    priors : tuple of str
+        Populations that the robot assumes. `OWN`: the one from which people are drawn.
+    repeats : int or None
+        Largest number of repeats of this condition; None: as many as the study.
+    """
+
+    name: str
+    populations: tuple[str, ...]
+    instances: tuple[str, ...]
+    policies: tuple[str, ...]
+    humans: tuple[int, ...]
+    settings: tuple[tuple[str, Setting], ...]
+    priors: tuple[str, ...]
+    repeats: int | None
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The unit of work: one pool of people, and all teams that are drawn from it.
+
+    Attributes
+    ----------
+    condition, setting, prior, population, instance : str
+        Names and labels.
+    repeat : int
+        Number of the pool.
+    """
+
+    condition: str
+    setting: str
+    prior: str
+    population: str
+    instance: str
+    repeat: int
+
+    def __str__(self) -> str:
+        named = (self.condition, self.setting, self.population, self.instance, f"repeat {self.repeat}")
+        return ", ".join(part for part in named if part)
+
+
+@declared
+class Interventions:
+    """A table of `reference.interventions`: the mean number of interventions for some populations."""
+
+    populations: Texts
+    mean: Number
+
+
+@declared
+class Reference:
+    """The table `reference`: published results that a study is compared with."""
+
+    source: Annotated[Text, Field(description="Citation.")]
+    name: Annotated[Text, Field(description="Name in reports.")] = "the reference"
+    headline: Annotated[dict[str, Number], Field(description="Percentage of each headline figure, by name.")] = field(
+        default_factory=dict
+    )
+    interventions: Annotated[tuple[Interventions, ...], Field(description="Published numbers of interventions.")] = ()
+    declines: Annotated[
+        Truth, Field(description="Whether the source claims that savings per person decline with the size of the team.")
+    ] = False
+    contrasts: Annotated[
+        tuple[Text, ...], Field(description="The study's contrasts that the source claims to exceed 1.")
+    ] = ()
+
+
+@declared
+class Contrast:
+    """A table of `contrasts`: populations whose mean numbers of interventions are compared, as the ratio `of / to`."""
+
+    name: Annotated[Text, Field(description="Name in reports.")]
+    of: Annotated[Texts, Field(description="Populations of the numerator.")]
+    to: Annotated[Texts, Field(description="Populations of the denominator.")]
+
+
+@declared(kw_only=True)
+class StudyPlan:
+    """The numbers of a study, which its file sets and its report shows."""
+
+    seed: Annotated[Seed, Field(description="Seed of all randomness.")] = 0
+    repeats: Annotated[Count, Field(description="Pools of people that are drawn for each combination.")] = 50
+    pool: Annotated[Count, Field(description="People in a pool.")] = 12
+    draws: Annotated[Count, Field(description="Teams that are drawn from each pool for each K.")] = 6
+    trials: Annotated[Count, Field(description="Episodes of each team.")] = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(StudyPlan):
+    """A simulation study.
+
+    Attributes
+    ----------
+    file : Path
+    title : str
+    focus : str
+        The policy that is compared with the others.
+    populations : tuple of pairs
+        Names and populations.
+    instances : tuple of pairs
+        Labels and tasks.
+    own_policies : tuple of pairs
+        Names of user policies, with file and function.
+    conditions : tuple of Condition
+        The first condition provides the headline.
+    contrasts : tuple of Contrast
+    reference : Reference or None
+    """
+
+    file: Path
+    title: str
+    focus: str
+    populations: tuple[tuple[str, Population], ...]
+    instances: tuple[tuple[str, Instance], ...]
+    own_policies: tuple[tuple[str, tuple[Path, str]], ...]
+    conditions: tuple[Condition, ...]
+    contrasts: tuple[Contrast, ...]
+    reference: Reference | None
+
+    def __repr__(self) -> str:
+        cells = list(self.cells())
+        return f"<Study {self.title!r}: {len(cells):,} pools, {sum(map(self.episodes, cells)):,} episodes>"
+
+    def condition(self, name: str) -> Condition:
+        """Return the condition of this name."""
+        return next(condition for condition in self.conditions if condition.name == name)
+
+    def cells(self) -> Iterator[Cell]:
+        """Yield all cells, repeat by repeat, in the order of the results."""
+        for repeat in range(self.repeats):
+            for condition in self.conditions:
+                if condition.repeats is not None and repeat >= condition.repeats:
+                    continue
+                for setting, _ in condition.settings:
+                    for prior in condition.priors:
+                        for population in condition.populations:
+                            for instance in condition.instances:
+                                yield Cell(condition.name, setting, prior, population, instance, repeat)
+
+    def episodes(self, cell: Cell) -> int:
+        """Return the number of episodes of a cell."""
+        condition = self.condition(cell.condition)
+        return len(condition.policies) * len(condition.humans) * self.draws * self.trials
+
+    def episodes_of(self, cell: Cell) -> Iterator[tuple[str, int, int, int]]:
+        """Yield the policy, team size, draw and trial of each episode of a cell."""
+        condition = self.condition(cell.condition)
+        return product(condition.policies, condition.humans, range(self.draws), range(self.trials))
+
+    def setting(self, cell: Cell) -> Setting:
+        """Return the setting of a cell."""
+        return dict(self.condition(cell.condition).settings)[cell.setting]
+
+    def fingerprint(self) -> str:
+        """Return a digest of the study, without `repeats`, and of the files that it names."""
+        digest = hashlib.sha256()
+        plain = {name: value for name, value in self._plain().items() if name not in IRRELEVANT}
+        plain["schema"] = SCHEMA
+        for name in ("instances", "own_policies"):
+            plain[name] = [label for label, _ in getattr(self, name)]
+        digest.update(json.dumps(plain, sort_keys=True).encode())
+        named = [path for _, files in self.instances for path in (files.domain, files.problem)]
+        models = (people.chooses for _, people in self.populations)
+        own = [
+            *(path for _, (path, _) in self.own_policies),
+            *(m.file for m in models if isinstance(m, UserChoiceModel)),
+        ]
+        for path in (*named, *own):
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+        for _, (_, function) in self.own_policies:
+            digest.update(function.encode())
+        return digest.hexdigest()
+
+    def record(self) -> dict[str, Any]:
+        """Return the study as plain data, with paths as strings."""
+        return json.loads(json.dumps(self._plain(), default=str))
+
+    def _plain(self) -> dict[str, Any]:
+        found = asdict(self) | {"populations": [(name, plain(people)) for name, people in self.populations]}
+        for condition, own in zip(found["conditions"], self.conditions, strict=True):
+            condition["settings"] = tuple((label, plain(setting)) for label, setting in own.settings)
+        return found
+
+    def seed_of(self, repeat: int) -> int:
+        """Return the random seed of a repeat."""
+        words = np.random.SeedSequence(self.seed, spawn_key=(repeat,)).generate_state(4)
+        return int.from_bytes(words.tobytes(), "little")
+
+    def teams(self, repeat: int, humans: int) -> NDArray[np.int64]:
+        """Return the team of each episode, shape (draws * trials, K). Each drawn team acts in `trials` episodes.
+
+        A draw's team of K people is part of its team of K + 1.
+        """
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed_of(repeat), spawn_key=(2,)))
+        drawn = rng.permuted(np.tile(np.arange(self.pool), (self.draws, 1)), axis=1)[:, :humans]
+        return np.repeat(drawn, self.trials, axis=0)

@@ -1,0 +1,261 @@
+"""The file of a user study, from which its plan is read.
+
+`docs/userstudy.md` describes the format. Every error names the line and the place in the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import field
+from functools import partial
+from itertools import zip_longest
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from planner import Instance, InstanceError, find_instances
+from planner.pddl.instance_finder import bundled_files
+from planner.system.errors import expected as meant
+
+from ...declare.catalogue import FIRST, Catalogue, catalogue
+from ...declare.declared import AnyTable, Expected, Text, Texts, Truth, Whole, declared, names_of
+from ...declare.tables import convert, fault, load, located, replaced
+from ...people.ranges import Population
+from ...people.real_people import advice_takers
+from ...people.user_code import parse
+from ...person.settings import Setting
+from ...team.policy_names import POLICIES
+from .outcomes import OUTCOMES
+from .plan import WITHIN, Condition, UserStudy, UserStudyPlan
+from .questionnaire_file import questionnaires_of
+from .questionnaires import BEFORE, END, Questionnaire
+
+# More simulated people would keep the robot away from the participant.
+Mates = Annotated[Whole, Field(ge=0, le=20), Expected("a whole number from 0 to 20")]
+
+
+@declared
+class ConditionTable:
+    """A table of `conditions`."""
+
+    name: Annotated[Text, Field(description="Name of the condition.")]
+    policy: Annotated[Text, Field(description="A shipped team policy, or FILE.py:FUNCTION.")]
+    setting: Annotated[AnyTable, Field(description="Fields of the setting that differ from the study's.")] = field(
+        default_factory=dict
+    )
+    reasons: Annotated[
+        Truth | None,
+        Field(description="Whether participants see the reasons of suggestions, if it differs from the study."),
+    ] = None
+
+
+@declared(kw_only=True)
+class FileTable(UserStudyPlan):
+    """The whole file."""
+
+    tasks: Annotated[Texts, Field(description="Problems, as files or names of shipped tasks, in order.")]
+    conditions: Annotated[
+        tuple[ConditionTable, ...],
+        Field(description="Conditions with name and policy, and with setting and reasons where they differ."),
+    ]
+    consent: Annotated[Text, Field(description="Text in Markdown to which participants consent.")]
+    instructions: Annotated[Text, Field(description="Text in Markdown before the first task.")]
+    language: Annotated[
+        Text,
+        Field(description="Language: en, de, or a file such as fr.toml with the texts of assist/declare/en.toml."),
+    ] = FIRST
+    title: Annotated[Text | None, Field(description="Title of the study; the name of the file unless given.")] = None
+    thanks: Annotated[Text | None, Field(description="Text in Markdown after the last task.")] = None
+    practice: Annotated[Text | None, Field(description="A problem for practice, without suggestions.")] = None
+    reference: Annotated[
+        Text | None, Field(description="The condition with which the others are compared; the first unless given.")
+    ] = None
+    simulated: Annotated[
+        Mates | None,
+        Field(
+            description="Simulated people who share the robot with each participant; 2, or 0 in groups, unless given."
+        ),
+    ] = None
+    reasons: Annotated[Truth, Field(description="Whether participants see the reasons of suggestions.")] = False
+    setting: Annotated[AnyTable, Field(description="Fields of the setting, such as costs.")] = field(
+        default_factory=dict
+    )
+    population: Annotated[
+        AnyTable,
+        Field(
+            description="The people whom the robot expects; their influence is as wide as real people's unless given."
+        ),
+    ] = field(default_factory=dict)
+    questionnaires: Annotated[
+        tuple[AnyTable, ...], Field(description="Questionnaires before, after and at the end.")
+    ] = ()
+
+
+def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
+    """Read the file of a user study. Paths in the file are relative to its folder.
+
+    Parameters
+    ----------
+    file : path
+    carried_out : bool
+        Whether this is the copy in a study's folder. The files that it names may then be missing.
+
+    Raises
+    ------
+    InputFileError
+        The file is invalid; the message names the line, the place and the expected value.
+    """
+    file = Path(file)
+    with located(file):
+        return _study(file, convert(load(file), FileTable, file), carried_out)
+
+
+def first_difference(before: str, after: str) -> dict[str, Any]:
+    """Return the first `line` in which two texts differ, and what it is in each (`before`, `after`)."""
+    lines = zip_longest(before.splitlines(), after.splitlines(), fillvalue="")
+    found = ((number, one, other) for number, (one, other) in enumerate(lines, start=1) if one != other)
+    number, one, other = next(found, (1, "", ""))
+    return {"line": number, "before": one.strip()[:80], "after": other.strip()[:80]}
+
+
+def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
+    names = _conditions(file, table.conditions, carried_out)
+    found = partial(_instance, file, carried_out=carried_out)
+    if table.design == WITHIN and len(names) < 2:
+        raise fault(file, "design", f"'{WITHIN}' with one condition; expected two or more")
+    reference = table.reference or names[0]
+    if reference not in names:
+        raise fault(file, "reference", f"'{reference}'; {meant(reference, names)}")
+    tasks = [found(f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
+    stems = [task.problem.stem for task in tasks]
+    if len(set(stems)) < len(stems):
+        raise fault(file, "tasks", "two tasks have the same file name; expected different names")
+    words = _words(file, table.language, carried_out)
+    questionnaires = questionnaires_of(file, table.questionnaires, names, words, within=table.design == WITHIN)
+    setting = _setting(file, table.setting)
+    conditions = tuple(
+        Condition(
+            own.name, own.policy,
+            _setting(file, table.setting | own.setting, f"conditions[{number}].setting") if own.setting else setting,
+            table.reasons if own.reasons is None else own.reasons,
+        )
+        for number, own in enumerate(table.conditions, start=1)
+    )  # fmt: skip
+    _check_group(file, table)
+    _check_confirmatory(file, table.confirmatory, questionnaires)
+    study = UserStudy(
+        **{name: getattr(table, name) for name in names_of(UserStudyPlan)},
+        file=file, digest=hashlib.sha256(file.read_bytes()).hexdigest()[:32], title=table.title or file.stem,
+        tasks=tuple(zip(stems, tasks, strict=True)),
+        practice=None if table.practice is None else found("practice", table.practice),
+        conditions=conditions, reference=reference,
+        simulated=table.simulated if table.simulated is not None else 2 if table.group is None else 0,
+        setting=setting, population=_population(file, table.population), questionnaires=questionnaires, catalogue=words,
+        texts={"consent": table.consent, "instructions": table.instructions,
+               "thanks": table.thanks or words("study.thanks_text")},
+    )  # fmt: skip
+    if not carried_out:
+        _check_comparisons(file, study)
+    return study
+
+
+def _check_group(file: Path, table: FileTable) -> None:
+    """Check that all places are in groups, which have no simulated people."""
+    if table.group is None:
+        return
+    size, places = table.group.size, table.participants
+    if table.simulated:
+        raise fault(file, "simulated", f"{table.simulated}; expected 0 in a study with groups")
+    if places is not None and places % size:
+        raise fault(file, "participants", f"{places}; expected a multiple of {size}, the size of a group")
+
+
+def _words(file: Path, language: str, carried_out: bool) -> Catalogue:
+    own = language.endswith(".toml")
+    path = str(file.parent / language) if own else language
+    if own and carried_out and not Path(path).exists():
+        return catalogue()
+    try:
+        return catalogue(path)
+    except ValueError as error:
+        raise fault(file, "language", str(error).removeprefix("language ")) from None
+
+
+def _check_confirmatory(file: Path, names: tuple[str, ...], questionnaires: tuple[Questionnaire, ...]) -> None:
+    """Check that these are different outcomes of the study."""
+    scales = [one.name for one in questionnaires if one.scale and one.when not in (BEFORE, END)]
+    known = (*OUTCOMES, *scales)
+    for number, name in enumerate(names, start=1):
+        if name not in known or names.index(name) < number - 1:
+            right = meant(name, known) if name not in known else "expected different names"
+            raise fault(file, f"confirmatory[{number}]", f"'{name}'; {right}")
+
+
+def _check_comparisons(file: Path, study: UserStudy) -> None:
+    """Check that each confirmatory outcome can be compared with the reference in at least one condition."""
+    for number, name in enumerate(study.confirmatory, start=1):
+        found = study.conditions_with(name)
+        if len(study.conditions) > 1 and not study.compared_in(name):
+            what = "has values" if name in OUTCOMES else "is asked"
+            where = f"condition {found[0]} only" if len(found) == 1 else f"the conditions {', '.join(found)}"
+            where = where if found else "no condition"
+            needed = f"expected an outcome of the reference '{study.reference}' and of another condition"
+            raise fault(
+                file, f"confirmatory[{number}]", f"'{name}' {what} in {where}, so it cannot be compared; {needed}"
+            )
+
+
+def _conditions(file: Path, tables: tuple[ConditionTable, ...], carried_out: bool) -> list[str]:
+    if not tables:
+        raise fault(file, "conditions", "[]; expected one table or more")
+    names: list[str] = []
+    for number, own in enumerate(tables, start=1):
+        place = f"conditions[{number}]"
+        if own.name in names:
+            raise fault(file, f"{place}.name", f"there are two conditions '{own.name}'; expected different names")
+        names.append(own.name)
+        found = parse(own.policy, file.parent)
+        if found is None and own.policy not in POLICIES:
+            raise fault(
+                file, f"{place}.policy", f"'{own.policy}'; {meant(own.policy, POLICIES, ', or FILE.py:FUNCTION')}"
+            )
+        if found is not None and not carried_out and not found[0].is_file():
+            raise fault(file, f"{place}.policy", f"{found[0]}: no such file")
+    return names
+
+
+def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instance:
+    problem = file.parent / name
+    if carried_out:
+        return Instance(problem, problem.with_name("domain.pddl"))
+    known = [] if problem.exists() else bundled_files(name)
+    try:
+        found = find_instances(known or [problem])
+    except InstanceError as error:
+        raise fault(file, place, str(error)) from None
+    if len(found) != 1 or (not known and found[0].problem.name != problem.name):
+        raise fault(file, place, f"'{name}' matches {len(found)} problems; expected the file of one")
+    return found[0]
+
+
+def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Setting:
+    setting = replaced(Setting(), content, file, place).for_real_people()
+    if setting.travel_time:
+        message = f"{setting.travel_time:g}; expected 0, since the robot of a user study does not move"
+        raise fault(file, f"{place}.travel_time", message)
+    if setting.observation is not None:
+        raise fault(file, f"{place}.observation", "given; expected none, as participants' actions are all seen")
+    if setting.c_ask is not None:
+        raise fault(file, f"{place}.c_ask", "given; expected none, as participants' pages show no questions")
+    if setting.execute:
+        raise fault(file, f"{place}.execute", "true; expected a robot that suggests")
+    if len(setting.robots) > 1:
+        raise fault(file, "setting.robots", f"{len(setting.robots)}; expected 1")
+    return setting
+
+
+def _population(file: Path, content: dict[str, Any]) -> Population:
+    """Return the prior over participants, whose influence is that of real people unless it is given."""
+    found = convert(content, Population, file, "population")
+    return found if "theta" in content else advice_takers(found.beta, found.sigma)

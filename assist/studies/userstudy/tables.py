@@ -1,0 +1,302 @@
+"""Tidy tables of a study's data, one row for each observation, derived from the journal alone.
+
+The tables are exported as CSV with a data dictionary. Reports read them too.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from planner.system.errors import InputFileError
+
+from ...live.header import require_version
+from ...live.store import stored
+from .events import Onward
+from .outcomes import COUNTED, Row
+from .participant_team import own_action
+from .participants import WITHDREW, Participant
+from .plan import Stage, UserStudy
+from .questionnaires import CHOICES
+from .record import StudyRecord
+from .roll import Roll
+
+COLUMNS: dict[str, dict[str, str]] = {
+    "participants": {
+        "participant": "code of a participant; a number if the records were erased",
+        "simulated": "whether the participant is simulated (in a rehearsal)",
+        "arrived": "time of arrival, UTC",
+        "consented": "time of consent, UTC; empty before",
+        "status": "done; here: taking part; gone: disconnected for too long; withdrew: no other table has their data; "
+        "declined: no consent; unmatched: no group was found in time; full: the study was full on return",
+        "stage": "the last stage that the participant reached",
+        "condition": "assigned when the first task begins, empty before; in a within-participants design, the order",
+        "completion_code": "code shown at the end",
+        "failed_checks": "attention checks that were answered wrongly",
+        "excluded": "why the participant is excluded from the report; empty otherwise",
+        "group": "the group that shared a robot; empty before it began, and in studies without groups",
+    },
+    "tasks": {
+        "participant": "code of a participant",
+        "condition": "the condition",
+        "period": "1 for the participant's first condition",
+        "task": "the task's file name without its ending",
+        "position": "1 for the first task in this condition",
+        "finished": "whether the goal was reached",
+        "optimal_cost": "cost of an optimal plan from the initial state; its length if every action costs 1",
+        **{one.name: one.about for one in COUNTED},
+    },
+    "actions": {
+        "participant": "code of a participant",
+        "condition": "the condition; empty in practice",
+        "period": "1 for the participant's first condition; 0 in practice",
+        "task": "the task, or practice",
+        "step": "0 for the first action of the task",
+        "time": "seconds since the study began, without interruptions of the service",
+        "utc": "time of the action, UTC",
+        "action": "the action in PDDL",
+        "suggestion": "the suggestion shown at that moment, if any",
+        "followed": "whether the action is the suggestion; empty without a suggestion",
+        "cost_before": "cost-to-go before the action; empty in a dead end",
+        "cost_after": "cost-to-go after the action; empty in a dead end",
+        "optimal": "whether an optimal plan begins with the action",
+    },
+    "answers": {
+        "participant": "code of a participant",
+        "condition": "the condition",
+        "period": "1 for the participant's first condition",
+        "questionnaire": "name of the questionnaire",
+        "item": "name of the question",
+        "option": "for questions with several choices, the option; empty otherwise",
+        "position": "1 for the first question on the page",
+        "answer": "the answer as given; for an option, whether it was chosen; empty without an answer",
+        "score": "the score, with reversed items recoded; empty if the answer is not a number",
+        "passed": "whether an attention check was answered correctly; empty for other questions",
+    },
+    "events": {
+        "participant": "code of a participant",
+        "time": "seconds since the study began, without interruptions of the service",
+        "utc": "time of the event, UTC",
+        "event": "visited; onward: proceeded to the next stage; withdrew; left: disconnected; returned; expired: the "
+        "time limit of the task or of waiting was reached",
+        "stage": "the stage at the event",
+    },
+}
+"""Columns of each table, with their meanings."""
+
+
+CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
+"""Signs that are no text; some readers end a file at them. U+FFFD stands for them in CSV."""
+
+
+@dataclass
+class Tables:
+    """The tables of a study.
+
+    Attributes
+    ----------
+    participants, tasks, actions, answers, events : list of dict
+        One dictionary for each row, with the keys of `COLUMNS`.
+    """
+
+    participants: list[Row] = field(default_factory=list)
+    tasks: list[Row] = field(default_factory=list)
+    actions: list[Row] = field(default_factory=list)
+    answers: list[Row] = field(default_factory=list)
+    events: list[Row] = field(default_factory=list)
+
+    def analysed(self) -> Tables:
+        """Return the tables as the report uses them: of excluded participants, only the row in `participants`."""
+        excluded = {row["participant"] for row in self.participants if row["excluded"] is not None}
+        return Tables(self.participants).with_rows(self, excluded)
+
+    def with_rows(self, other: Tables, without: Container[str]) -> Tables:
+        """Return these participants with the rows of other tables, without those of some participants."""
+        kept = {
+            name: [row for row in getattr(other, name) if row["participant"] not in without]
+            for name in COLUMNS if name != "participants"
+        }  # fmt: skip
+        return replace(self, **kept)
+
+    def csv(self, name: str) -> str:
+        """Return a table as CSV."""
+        return written(COLUMNS[name], getattr(self, name))
+
+    def logs(self) -> Iterator[tuple[str, str]]:
+        """Yield a log for `kitassist fit` for each task: its name, and the actions in it as JSON Lines."""
+        for task in dict.fromkeys(row["task"] for row in self.tasks):
+            rows = (
+                {
+                    "person": row["participant"], "episode": str(row["period"]), "step": row["step"],
+                    "action": row["action"], "suggestion": row["suggestion"], "time": row["time"],
+                }
+                for row in self.actions if row["task"] == task and row["condition"] is not None
+            )  # fmt: skip
+            yield task, "".join(json.dumps(row) + "\n" for row in rows)
+
+
+def written(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return rows as CSV with the given columns. None is an empty cell; truth values are `true` and `false`."""
+    content = io.StringIO()
+    writer = csv.writer(content, lineterminator="\n")
+    columns = list(columns)
+    writer.writerow(columns)
+    for row in rows:
+        writer.writerow([_plain(row[name]) for name in columns])
+    return content.getvalue()
+
+
+def _plain(cell: Any) -> Any:
+    if isinstance(cell, bool):
+        return str(cell).lower()
+    if isinstance(cell, str):
+        # Some readers take a carriage return for the end of a row.
+        text = CONTROL.sub("\ufffd", cell.replace("\r\n", "\n").replace("\r", "\n"))
+        return f"'{text}" if is_formula(text) else text
+    return cell
+
+
+def is_formula(text: str) -> bool:
+    """Whether a spreadsheet may evaluate a text, unless an apostrophe precedes it; or the same behind apostrophes.
+
+    Spreadsheets skip blanks and invisible signs, and take full-width signs for the usual ones.
+    """
+    for place, sign in enumerate(text):
+        if sign in "\t\n" and not text[:place].strip("'"):
+            return True
+        if sign != "'" and not sign.isspace() and unicodedata.category(sign) != "Cf":
+            return unicodedata.normalize("NFKC", sign) in ("=", "+", "-", "@", "\u2212")
+    return False
+
+
+def text_of(cell: str) -> str:
+    """Return the text of a cell that `written` wrote: without the apostrophe before what looks like a formula."""
+    return cell[1:] if cell.startswith("'") and is_formula(cell) else cell
+
+
+def tables(study: UserStudy, journal: Path) -> Tables:
+    """Return the tables of a study from its journal. Participants who withdrew are in `participants` only.
+
+    Parameters
+    ----------
+    study : UserStudy
+    journal : Path
+        The study may be running.
+
+    Raises
+    ------
+    InputFileError
+        The file is not the journal of a user study.
+    ResultsExistError
+        It is that of another version.
+    """
+    header, records = stored(journal)
+    require_version(journal, header, StudyRecord.format)
+    if header.get("format") != StudyRecord.format:
+        raise InputFileError.of(journal, None, "not the journal of a user study")
+    roll, found = Roll(study), Tables()
+    here: dict[str, Row] = {}  # of each participant what they did at their stage; at a task, its row
+    for utc, plain in records:
+        record = StudyRecord.of(json.dumps(plain))
+        event, code = record.event, str(record.event.who)
+        before = roll.participants.get(code)
+        stage = study.stages[0 if before is None else before.at]
+        where = {} if before is None else _where(study, before, stage)
+        roll.note(record)
+        if event.is_tabled:
+            found.events.append(_event(code, record, utc, event.kind, stage))
+        if isinstance(event, Onward):
+            found.answers += [where | row for row in _answers(study, stage, event.answers or {})]
+        elif event.is_action:
+            row = where | _action(stage, record, here[code]["actions"]) | {"utc": utc}
+            found.actions.append(row)
+            _count(here[code], row, record, roll.participants[code])
+        for entered in dict.fromkeys(roll.entered):
+            person = roll.participants[entered]
+            to = study.stages[person.at]
+            here[entered] = _where(study, person, to) | _begun(study, to)
+            if to.kind == "task":
+                found.tasks.append(here[entered])
+            if entered in record.members:  # others of the group have come
+                found.events.append(_event(entered, record, utc, "onward", to))
+    withdrawn = {code for code, person in roll.participants.items() if person.status == WITHDREW}
+    failed = Counter(row["participant"] for row in found.answers if row["passed"] is False)
+    people = [_participant(study, person, failed[person.code]) for person in roll.participants.values()]
+    return Tables(people).with_rows(found, withdrawn)
+
+
+def _participant(study: UserStudy, person: Participant, failed: int) -> Row:
+    row: Row = {
+        "participant": person.code, "simulated": person.simulated, "arrived": None, "consented": None,
+        "status": person.status, "stage": study.stages[person.at].name, "condition": person.condition,
+        "group": person.group, "completion_code": None, "failed_checks": 0, "excluded": None,
+    }  # fmt: skip
+    if person.status == WITHDREW:
+        return row
+    most, excluded = study.exclude_failed_checks, person.excluded
+    if most is not None and failed >= most and excluded is None:
+        excluded = f"failed {most} or more attention checks"
+    return row | {
+        "arrived": person.arrived, "consented": person.consented, "completion_code": person.completion,
+        "failed_checks": failed, "excluded": excluded,
+    }  # fmt: skip
+
+
+def _event(code: str, record: StudyRecord, utc: str | None, kind: str, stage: Stage) -> Row:
+    return {"participant": code, "time": record.time, "utc": utc, "event": kind, "stage": stage.name}
+
+
+def _begun(study: UserStudy, stage: Stage) -> Row:
+    """Return the columns of a task that a participant begins; of another stage, those that count actions."""
+    position = [*dict(study.tasks)].index(stage.what) + 1 if stage.kind == "task" else None
+    return {
+        "task": stage.what, "position": position, "finished": False, "optimal_cost": None,
+        **{one.name: one.start for one in COUNTED},
+    }  # fmt: skip
+
+
+def _where(study: UserStudy, person: Participant, stage: Stage) -> Row:
+    """Return the first columns of a row: the participant's code, and the condition and period of a stage."""
+    return {
+        "participant": person.code, "condition": study.condition_at(stage, person.condition), "period": stage.period
+    }  # fmt: skip
+
+
+def _answers(study: UserStudy, stage: Stage, answers: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield a row for each answer, in the order of the questions on the page; for several choices, one per option."""
+    items = {item.name: item for item in study.questionnaire(stage.what).items} if answers else {}
+    for position, (name, answer) in enumerate(answers.items(), start=1):
+        item = items[name]
+        row = {"questionnaire": stage.what, "item": name, "option": None, "position": position}
+        if item.form == CHOICES:
+            for option in item.options:
+                yield row | {"option": option, "answer": option in answer, "score": None, "passed": None}
+        else:
+            yield row | {"answer": answer, "score": item.score(answer), "passed": item.passed(answer)}
+
+
+def _action(stage: Stage, record: StudyRecord, step: int) -> Row:
+    own, seen = own_action(record.team, str(record.event.who)), record.seen
+    assert seen is not None
+    action = own.action or ""
+    followed = None if seen.suggestion is None else action.strip().lower() == seen.suggestion.lower()
+    return {
+        "task": stage.what, "step": step, "time": record.time, "action": action, "suggestion": seen.suggestion,
+        "followed": followed, "cost_before": seen.cost_before, "cost_after": seen.cost_after, "optimal": seen.optimal,
+    }  # fmt: skip
+
+
+def _count(task: Row, action: Row, record: StudyRecord, person: Participant) -> None:
+    if action["step"] == 0:
+        task["optimal_cost"] = action["cost_before"]
+    task["finished"] = record.seen is not None and record.seen.finished
+    seconds = round(record.time - person.entered, 3)
+    task |= {one.name: one.after(task, action, seconds) for one in COUNTED}

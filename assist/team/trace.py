@@ -1,0 +1,26 @@
+"""Traces: a record for each action of each person in a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from .state import TeamState
+
+Trace = list[dict[str, Any]]
+"""A list with one dictionary for each action of each person."""
+
+
+class Reasons(Protocol):
+    """Returns why a robot suggests what it does; `assist.live.TraceReasons` is one."""
+
+    def __call__(
+        self, team: TeamState, row: int, place: int, robot: int, *, number: int, names: Sequence[str], rule: str
+    ) -> dict[str, Any]:
+        """Return the reason for a robot action towards one person of a team, as plain data."""
+        ...
+
+
+def robot_is_at(row: Mapping[str, Any], place: int) -> bool:
+    """Whether a row of a trace says that a robot was at a person's place."""
+    return place in row["robot_places"]

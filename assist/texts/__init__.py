@@ -1,5 +1,0 @@
-"""Texts that people read, in each language, and refusals by their keys."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

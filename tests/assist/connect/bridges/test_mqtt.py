@@ -1,0 +1,743 @@
+"""Actions over MQTT: each once and in order, whatever happens to messages and to the broker."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Coroutine, Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import click
+import httpx2 as httpx
+import pytest
+from click.testing import CliRunner
+from conftest import ROOT, kit
+from hypothesis import given
+from hypothesis import strategies as st
+from serving import TINY, served
+from starlette.testclient import TestClient
+from test_docs import BLOCK
+
+from assist.cli import main
+from assist.cli.options.live import bridge_of
+from assist.connect.bridges.kernel import Bridge
+from assist.connect.bridges.messages import MessageError, Report, Topic, fields_of, filled
+from assist.connect.bridges.mqtt import Mqtt
+from assist.connect.bridges.mqtt_settings import MqttSettings, Observed
+from assist.connect.bridges.opcua_settings import OpcUaSettings, OwnServerSettings
+from assist.connect.bridges.ordering import Acknowledgements, InOrder
+from assist.connect.bridges.ros2_settings import Ros2Settings
+from assist.live import Joined, Left, Session
+from assist.person.settings import Setting
+from assist.web.app import make_app
+from assist.web.server import listen, run
+from assist.web.service import Service
+from assist.web.tokens import AccessTokens
+from planner import Table
+
+aiomqtt = pytest.importorskip("aiomqtt")
+iotcore = pytest.importorskip("iotcore")
+
+SETTINGS = """
+wait = 60.0
+[broker]
+host = "127.0.0.1"
+port = PORT
+[observe]
+topic = "line/{person}/action"
+number = "{n}"
+[advice]
+topic = "line/{person}/advice"
+[answers]
+topic = "line/{person}/answers"
+[robot]
+topic = "line/robot"
+[arrived]
+topic = "line/robot/arrived"
+[status]
+topic = "line/assistant"
+"""
+
+
+SECURED = """
+id = 0
+[router]
+id = 0
+max_connections = 100
+max_outgoing_packet_count = 200
+max_segment_size = 104857600
+max_segment_count = 10
+[v4.1]
+name = "secured"
+listen = "127.0.0.1:PORT"
+next_connection_delay_ms = 1
+[v4.1.tls]
+certpath = "AT/cert.pem"
+keypath = "AT/key.pem"
+[v4.1.connections]
+connection_timeout_ms = 60000
+max_payload_size = 20480
+max_inflight_count = 100
+dynamic_filters = true
+[v4.1.connections.auth]
+kits = "secret"
+"""
+"""Settings of a broker that speaks TLS and asks for a password."""
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        return int(listening.getsockname()[1])
+
+
+class Broker:
+    """A real broker in a process of its own, which forgets everything when it is killed."""
+
+    def __init__(self, secured: Path | None = None) -> None:
+        self.port = free_port()
+        options: dict[str, Any] = {"port": self.port, "listen": "127.0.0.1"}
+        if secured is not None:
+            (file := secured / "broker.toml").write_text(
+                SECURED.replace("PORT", str(self.port)).replace("AT", str(secured))
+            )
+            options = {"config_path": str(file)}
+        self._broker = iotcore.Broker(**options)
+        self._broker.start()
+
+    def kill(self) -> None:
+        process, self._broker._process = self._broker._process, None
+        process.stdin.close()
+        process.kill()
+        process.wait()
+
+    def start(self) -> None:
+        self._broker.start()
+
+    def stop(self) -> None:
+        if self._broker._process is not None:
+            self.kill()
+
+    def client(self, **options: Any) -> Any:
+        return aiomqtt.Client("127.0.0.1", self.port, timeout=5.0, **options)
+
+
+@pytest.fixture
+def broker() -> Iterator[Broker]:
+    made = Broker()
+    yield made
+    made.stop()
+
+
+class Here:
+    """A service in this process, with a bridge beside it."""
+
+    def __init__(self, folder: Path, people: list[str], setting: Setting | None = None) -> None:
+        folder.mkdir(exist_ok=True)
+        setting = setting or Setting(c_suggest=0.1)
+        self.session = Session({"tiny": kit("tiny")}, folder / "journal.sqlite", setting=setting)
+        self.session.report_all([Joined(person=name) for name in people])
+        # No decisions by the clock: what a session does then follows from its events alone.
+        self.service = Service(self.session, AccessTokens.kept(folder / "secret", "http://testserver"), tick=3600.0)
+        self.app = make_app(self.service)
+        self.headers = {"Authorization": f"Bearer {self.service.access.operator}"}
+
+    def run(self, file: Path, work: Callable[[], Coroutine[Any, Any, None]], **options: Any) -> None:
+        """Serve until the work is done; a bridge with the settings in the file runs meanwhile."""
+        listening = listen("127.0.0.1", 0)
+        link = f"http://127.0.0.1:{listening.getsockname()[1]}/operator#{self.service.access.operator}"
+        failed = list[Exception]()
+
+        async def beside() -> None:
+            self.bridge = bridge_of(file, len(self.session.outlook().robots))(link, **options)
+            bridge = asyncio.create_task(self.bridge.run())
+            try:
+                await asyncio.wait_for(work(), 120)
+                assert not bridge.done()
+            except Exception as error:  # noqa: BLE001  raised when the service has ended
+                failed.append(error)
+            finally:
+                bridge.cancel()
+                await asyncio.gather(bridge, return_exceptions=True)
+
+        asyncio.run(run(self.app, listening, lambda: None, beside(), ends=True))
+        for error in failed:
+            raise error
+
+
+def settings_file(folder: Path, broker: Broker, text: str = SETTINGS) -> Path:
+    file = folder / "bridge.toml"
+    file.write_text(text.replace("PORT", str(broker.port)))
+    return file
+
+
+def plans(table: Table, people: int, length: int, seed: int) -> dict[str, list[str]]:
+    """Return a random walk for each person that ends before the goal."""
+    rng, goal = random.Random(seed), table.space.goal
+    found = {}
+    for number in range(1, people + 1):
+        state, plan = table.space.initial, list[str]()
+        while len(plan) < length:
+            options = {action: to for action, to in table.space.options(state).items() if not goal[to]}
+            action = rng.choice(list(options))
+            state = options[action]
+            plan.append(action)
+        found[f"person-{number}"] = plan
+    return found
+
+
+class Stations:
+    """Stations that repeat each report until it is answered, and a network that repeats and reorders messages."""
+
+    def __init__(self, broker: Broker, plans: dict[str, list[str]], seed: int, again: float = 0.3) -> None:
+        self.broker, self.rng, self.again = broker, random.Random(seed), again
+        self.open = {
+            (name, n): {"action": action, "id": f"{name}-{n}", "n": n}
+            for name, plan in plans.items()
+            for n, action in enumerate(plan, start=1)
+        }
+        self.total = len(self.open)
+        self.answers: dict[str, dict[str, Any]] = {}
+        self.advice: dict[str, Any] = {}
+
+    async def work(self, window: int = 4) -> None:
+        while self.open:
+            with suppress(aiomqtt.MqttError, OSError):
+                async with self.broker.client() as client:
+                    for topic in ("line/+/answers", "line/+/advice", "line/robot", "line/assistant"):
+                        await client.subscribe(topic, qos=1)
+                    reading = asyncio.create_task(self._read(client))
+                    try:
+                        while self.open and not reading.done():
+                            await self._send(client, window)
+                            await asyncio.sleep(self.again)
+                    finally:
+                        reading.cancel()
+                        await asyncio.gather(reading, return_exceptions=True)
+            await asyncio.sleep(0.05)
+
+    async def _send(self, client: Any, window: int) -> None:
+        lowest = dict(sorted(self.open, reverse=True))
+        messages = [key for key in self.open if key[1] < lowest[key[0]] + window]
+        messages += self.rng.sample(messages, len(messages) // 2)
+        self.rng.shuffle(messages)
+        for name, n in messages:
+            if (name, n) in self.open:
+                await client.publish(f"line/{name}/action", json.dumps(self.open[name, n]), qos=1)
+
+    async def _read(self, client: Any) -> None:
+        async for message in client.messages:
+            topic = str(message.topic).split("/")
+            if topic[-1] != "answers":
+                self.advice[str(message.topic)] = message.payload
+                continue
+            answer = json.loads(message.payload)
+            first = self.answers.setdefault(answer["id"], answer)
+            assert answer["status"] == "recorded", answer
+            assert first["seq"] == answer["seq"]  # a repetition gets the first answer
+            self.open.pop((topic[1], answer["number"]), None)
+
+
+def events_of(stations: Stations, plans: dict[str, list[str]]) -> list[tuple[str, dict[str, str]]]:
+    """Return who acted and the body of each report, in the order in which the service recorded them."""
+    events = sorted((answer["seq"], identifier) for identifier, answer in stations.answers.items())
+    assert len({seq for seq, _ in events}) == len(events) == stations.total
+    found = []
+    for _, identifier in events:
+        name, _, number = identifier.rpartition("-")
+        found.append((name, {"action": plans[name][int(number) - 1], "id": identifier}))
+    return found
+
+
+def done_of(rows: Iterable[dict[str, Any]], plans: dict[str, list[str]]) -> dict[str, list[str]]:
+    listed = list(rows)
+    return {name: [row["action"] for row in listed if row["person"] == name] for name in plans}
+
+
+async def with_kills(broker: Broker, stations: Stations, kills: int) -> None:
+    """Let the stations work, and kill the broker after equal parts of the reports."""
+    working = asyncio.create_task(stations.work())
+    for kill in range(1, kills + 1):
+        while len(stations.answers) < stations.total * kill // (kills + 1):
+            await asyncio.sleep(0.02)
+            assert not working.done(), working
+        broker.kill()
+        await asyncio.sleep(0.3)
+        await asyncio.to_thread(broker.start)
+    await working
+
+
+def test_each_action_happens_once_although_messages_and_the_broker_are_lost(broker: Broker, tmp_path: Path) -> None:
+    """The beliefs equal those of the same events over HTTP, bit for bit."""
+    walks = plans(kit("tiny"), 4, 6, seed=1)
+    here, there = Here(tmp_path / "mqtt", list(walks)), Here(tmp_path / "http", list(walks))
+    stations = Stations(broker, walks, seed=2)
+
+    async def work() -> None:
+        await with_kills(broker, stations, 1)
+        expected = {f"line/{name}/advice": json.loads(here.service.views[name]) for name in walks}
+        async with broker.client() as client:  # advice is retained, also by a broker that was killed
+            await client.subscribe("line/#", qos=1)
+            found = dict[str, bytes]()
+            async for message in client.messages:
+                found[str(message.topic)] = message.payload
+                if set(expected) <= set(found) and all(
+                    json.loads(found[topic]) == {key: view[key] for key in ("person", "suggestion", "finished", "seq")}
+                    for topic, view in expected.items()
+                ) and found.get("line/assistant") == b"online" and "line/robot" in found:  # fmt: skip
+                    return
+
+    here.run(settings_file(tmp_path, broker), work)
+    assert here.bridge.counts["connections"] == 2
+    with TestClient(there.app, headers=there.headers) as client:
+        for name, body in events_of(stations, walks):
+            assert client.post(f"/api/people/{name}/actions", json=body).status_code == 200
+    for one in (here, there):
+        assert done_of(one.session.history.log(), walks) == walks
+    assert here.session.history.beliefs() == there.session.history.beliefs()
+
+
+@pytest.mark.slow
+def test_twenty_people_and_five_kills_of_the_broker(broker: Broker, tmp_path: Path) -> None:
+    """Every action happens once and in order, and the beliefs equal those of the same events over HTTP, bit for bit.
+
+    Of twenty people with equal pasts, many are equally worth a suggestion. So another last bit of one belief would
+    alter suggestions, and with them other beliefs.
+    """
+    walks = plans(kit("tiny"), 20, 12, seed=3)
+    options = ("--humans", 20, "--set", "tick=3600", "--c-suggest", 0.1)
+    # Stations that repeat everything three times a second would keep a small machine busy with repetitions.
+    stations = Stations(broker, walks, seed=4, again=1.0)
+    with served(*options, "--bridge", settings_file(tmp_path, broker)) as mqtt, served(*options) as http:
+        asyncio.run(with_kills(broker, stations, 5))
+        headers = {"Authorization": f"Bearer {http.token()}"}
+        with httpx.Client(base_url=http.url, headers=headers, timeout=120) as client:
+            for name, body in events_of(stations, walks):
+                assert client.post(f"/api/people/{name}/actions", json=body).status_code == 200
+        for one in (mqtt, http):
+            rows = one.ask("GET", "/api/log").text.splitlines()
+            assert done_of(map(json.loads, rows), walks) == walks
+        here, there = (one.ask("GET", "/api/team").json()["people"] for one in (mqtt, http))
+        for mine, theirs in zip(here, there, strict=True):
+            assert (mine["belief"], mine["suggestion"]) == (theirs["belief"], theirs["suggestion"])
+        mqtt.process.kill()
+
+        async def will() -> None:
+            async with broker.client() as client:
+                await client.subscribe("line/assistant", qos=1)
+                async for message in client.messages:
+                    if message.payload == b"offline":
+                        return
+
+        asyncio.run(asyncio.wait_for(will(), 30))
+
+
+@pytest.mark.slow
+def test_the_line_without_hardware_runs_to_its_end() -> None:
+    command = [sys.executable, ROOT / "docs" / "examples" / "line.py", "kitting/tiny", "--pace", "0.02"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert all(f"person-{number} has finished" in done.stdout for number in (1, 2, 3))
+    assert "the robot is at person-" in done.stdout
+    assert "MQTT:" not in done.stderr
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_line_and_all_that_it_has_started() -> None:
+    command = [sys.executable, ROOT / "docs" / "examples" / "line.py", "kitting/tiny", "--pace", "0.2"]
+    line = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        assert line.stdout is not None
+        while not line.stdout.readline().startswith("person-"):
+            assert line.poll() is None
+        os.killpg(line.pid, signal.SIGINT)  # as a terminal does
+        time.sleep(0.05)
+        with suppress(ProcessLookupError):
+            os.killpg(line.pid, signal.SIGINT)  # of somebody who does not wait
+        said, faults = line.communicate(timeout=60)
+    finally:
+        line.kill()
+    assert line.returncode == 0, faults
+    assert said.splitlines()[-1] == "ended by Ctrl-C"
+    assert "Traceback" not in faults
+    assert "KeyboardInterrupt" not in faults
+    with pytest.raises(ProcessLookupError):
+        os.killpg(line.pid, 0)
+
+
+def test_nothing_that_the_service_sends_waits_for_more() -> None:
+    """A connection that collects small pieces sends the body of an answer 40 ms after its head."""
+    with listen("127.0.0.1", 0) as listening, socket.create_connection(listening.getsockname()):
+        accepted, _ = listening.accept()
+        with accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_two_robots_have_a_topic_each(
+    broker: Broker, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:  # fmt: skip
+    topics = """
+    [broker]
+    host = "127.0.0.1"
+    port = PORT
+    [observe]
+    topic = "line/{person}/action"
+    [robot]
+    topic = "robot/{robot}"
+    [arrived]
+    topic = "robot/{robot}/arrived"
+    """
+    setting = Setting(c_suggest=0.01, c_move=0.01, trust="paper", travel_time=1, robots=2)
+    here, seen = Here(tmp_path / "session", ["ann", "bob"], setting), dict[str, dict[str, Any]]()
+
+    async def work() -> None:
+        async with broker.client() as client:
+            await client.subscribe("robot/+", qos=1)
+
+            async def until(done: Callable[[], bool]) -> None:
+                while not done():
+                    message = await anext(client.messages)
+                    seen[str(message.topic)] = json.loads(message.payload)
+
+            await until(lambda: len(seen) == 2)
+            for person in ("ann", "bob"):
+                for number, action in enumerate(("(fetch box-a)", "(place hammer slot-2 box-a)")):
+                    report = {"action": action, "id": f"{person}-{number}"}
+                    await client.publish(f"line/{person}/action", json.dumps(report), qos=1)
+            await until(lambda: {one["person"] for one in seen.values()} == {"ann", "bob"})
+            assert not any(one["arrived"] for one in seen.values())
+            for number in ("0", "3", "x"):
+                await client.publish(f"robot/{number}/arrived", b'{"person": "ann"}', qos=1)
+            to = seen["robot/2"]["person"]
+            await client.publish("robot/2/arrived", json.dumps({"person": to, "id": "1"}), qos=1)
+            await until(lambda: seen["robot/2"]["arrived"])
+            assert not seen["robot/1"]["arrived"]
+            assert here.session.outlook().robots[1]["location"] == to
+
+    here.run(settings_file(tmp_path, broker, topics), work)
+    for number in ("0", "3", "x"):
+        assert f"MQTT: arrival of a robot: robot '{number}'; expected a number from 1 to 2" in caplog.text
+    for topic, wrong in (("robot/{robot}", "robot"), ("robot/{robot}/arrived", "robot/arrived")):
+        file = settings_file(tmp_path, broker, topics.replace(f'"{topic}"', f'"{wrong}"'))
+        bridge_of(file)  # one robot needs no number
+        with pytest.raises(click.UsageError, match=rf"topic: '{wrong}'; expected {{robot}} in it"):
+            bridge_of(file, 2)
+
+
+def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path) -> None:
+    file = settings_file(
+        tmp_path,
+        broker,
+        """
+        [broker]
+        host = "127.0.0.1"
+        port = PORT
+        [[observe]]
+        topic = "scan/{person}"
+        pattern = '(?P<scan>\\w+): (?P<verb>TAKE|PUT) (?P<code>\\d+)'
+        action = "({verb} {code})"
+        id = "{scan}"
+        [[observe]]
+        topic = "worker"
+        person = "{name}"
+        [[observe]]
+        topic = "next/{person}"
+        event = "began"
+        [answers]
+        topic = "answers/{person}"
+        [advice]
+        topic = "advice/{person}"
+        [arrived]
+        topic = "robot/arrived"
+        [robot]
+        topic = "robot"
+        fields = ["person", "location"]
+        [names]
+        TAKE = "fetch"
+        4711 = "box-b"
+        """,
+    )
+    here = Here(tmp_path / "session", ["ann", "bob"])
+    answers, advice, robot = dict[str, dict[str, Any]](), dict[str, bytes](), list[dict[str, Any]]()
+
+    async def work() -> None:
+        async with broker.client() as client:
+            for topic in ("answers/+", "advice/+", "robot"):
+                await client.subscribe(topic, qos=1)
+
+            async def until(done: Callable[[], bool]) -> None:
+                while not done():
+                    message = await anext(client.messages)
+                    topic = str(message.topic)
+                    if topic == "robot":
+                        robot.append(json.loads(message.payload))
+                    elif topic.startswith("advice"):
+                        advice[topic] = message.payload
+                    else:
+                        answer = json.loads(message.payload)
+                        answers[answer["id"]] = answer | {"to": topic}
+
+            await until(lambda: {"advice/ann", "advice/bob"} <= set(advice))  # so the bridge is there
+            sent = [
+                ("scan/ann", b"s1: TAKE 4711"), ("scan/ann", b"s2: TAKE 4712"), ("scan/eve", b"s3: TAKE 4711"),
+                ("scan/ann", b"a scratch"), ("scan/ann", b"\xff"),
+                ("worker", b'{"name": "bob", "action": "fetch(box-a)", "id": 7}'),
+                ("worker", b'{"name": "../ann", "action": "fetch(box-a)", "id": "x/y"}'),
+                ("worker", b'{"name": "bob", "id": "without"}'), ("worker", b"[]"),
+                ("worker", b'{"id": ' + b"9" * 5000 + b"}"), ("worker", b'{"name": "bob", "id": "\\ud800"}'),
+                ("worker", b'{"person": "\\ud800"}'), ("worker", b'{"person": "' + b"x" * 9000 + b'"}'),
+                ("robot/arrived", b'{"person": "bob", "id": "r"}'), ("robot/arrived", b"?"),
+            ]  # fmt: skip
+            for topic, payload in sent:
+                await client.publish(topic, payload, qos=1)
+            await until(lambda: {"s1", "s2", "s3", "7", "without"} <= set(answers))
+            await until(lambda: any(errand["location"] == "bob" for errand in robot))
+            here_before = here.session.outlook().events
+            await client.publish("scan/ann", b"s1: TAKE 4711", qos=1)
+            answers.pop("s1")
+            await until(lambda: "s1" in answers)
+            assert here.session.outlook().events == here_before
+            await client.publish("next/ann", b'{"id": "again"}', qos=1)
+            await until(lambda: "again" in answers)
+            assert json.loads(here.service.views["ann"])["steps"] == 0
+            await here.service.report(Left(person="bob"))
+            await until(lambda: advice["advice/bob"] == b"")
+
+    here.run(file, work)
+    assert here.bridge.counts["connections"] == 1  # a broker ends the connection of a client that breaks its rules
+    assert (answers["s1"]["status"], answers["s1"]["to"]) == ("recorded", "answers/ann")
+    assert answers["7"]["status"] == "recorded"
+    details = {identifier: answer["detail"] for identifier, answer in answers.items() if answer["status"] == "refused"}
+    assert "4712" in details["s2"]
+    assert "'eve' is not in the team" in details["s3"]
+    assert details["without"] == "there is no field 'action'; expected action"
+    assert done_of(here.session.history.log(), {"ann": [], "bob": []}) == {
+        "ann": ["(fetch box-b)"], "bob": ["(fetch box-a)"],
+    }  # fmt: skip
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl for a certificate")
+def test_a_broker_with_tls_and_a_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    command = "openssl req -x509 -newkey rsa:2048 -nodes -keyout key.pem -out cert.pem -days 2 -subj /CN=localhost"
+    name = ("-addext", "subjectAltName=IP:127.0.0.1")
+    subprocess.run([*command.split(), *name], cwd=tmp_path, check=True, capture_output=True)
+    monkeypatch.setenv("KITASSIST_MQTT_PASSWORD", "secret")
+    monkeypatch.setenv("KITASSIST_MQTT_CA", str(tmp_path / "cert.pem"))
+    here, secured = Here(tmp_path / "session", ["ann"]), Broker(tmp_path)
+    file = settings_file(tmp_path, secured, SETTINGS.replace("[broker]", '[broker]\ntls = true\nusername = "kits"'))
+
+    async def work() -> None:
+        options = {"username": "kits", "password": "secret", "tls_context": MqttSettings.read(file).context()}
+        async with secured.client(**options) as client:
+            await client.subscribe("line/ann/answers", qos=1)
+            await client.publish(
+                "line/ann/action", '{"action": "(fetch box-a)", "id": "1", "n": 1}', qos=1, retain=True
+            )
+            answer = json.loads((await anext(client.messages)).payload)
+            assert (answer["status"], answer["next"]) == ("recorded", 2)
+
+    try:
+        here.run(file, work)
+    finally:
+        secured.stop()
+
+
+@given(st.data())
+def test_numbers_restore_the_order(data: st.DataObject) -> None:
+    """However messages are repeated and reordered, each is released first when all before it are."""
+    count = data.draw(st.integers(1, 8))
+    arrivals = data.draw(st.lists(st.integers(1, count), max_size=20)) + data.draw(st.permutations(range(1, count + 1)))
+    order = InOrder[int]()
+    released = [item for number in arrivals for item in order.take(number, number)]
+    assert list(dict.fromkeys(released)) == list(range(1, count + 1))
+    assert not order.held
+
+
+@given(st.integers(1, 8).flatmap(lambda count: st.permutations(range(count))))
+def test_messages_are_acknowledged_in_the_order_of_their_arrival(order: list[int]) -> None:
+    sent = list[tuple[int, int]]()
+    open_messages = Acknowledgements(lambda identifier, quality: sent.append((identifier, quality)))
+    done = [open_messages.expect(10 + number, 1) for number in range(len(order))]
+    finished = set[int]()
+    for number in order:
+        done[number]()
+        finished.add(number)
+        first_open = min(set(range(len(order))) - finished, default=len(order))
+        assert sent == [(10 + one, 1) for one in range(first_open)]
+
+
+def test_missing_numbers_are_passed_over_and_known() -> None:
+    order = InOrder[str](room=2)
+    assert [order.take(number, str(number)) for number in (3, 1, 5, 6)] == [[], ["1"], [], []]
+    assert order.pass_over() == ["3"]  # 6 found no room, its sender repeats it
+    assert (order.late(2), order.late(3), order.next) == (True, False, 4)
+    assert order.take(6, "6") == []
+    assert order.resume(6) == ["5", "6"]
+    assert order.resume(2) == order.pass_over() == []
+
+
+def test_reports_that_wait_for_a_missing_number_are_said(tmp_path: Path) -> None:
+    """Three of fifty numbers may be on their way; the operator's page says who waits for which."""
+    (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", "1"))
+
+    async def waits() -> list[list[str]]:
+        transport = Mqtt(MqttSettings.read(file))
+        bridge = Bridge(transport, "http://127.0.0.1:1/operator#t")
+        found = []
+        for number in (4, 6, 1, 2, 3):
+            payload = json.dumps({"action": "(fetch box-a)", "id": str(number), "n": number}).encode()
+            bridge.take(transport.message("line/ann/action", payload, lambda: None))
+            found.append(bridge.waits)
+        await bridge._tasks.cancel()
+        return found
+
+    said = asyncio.run(waits())
+    assert said[0] == ["MQTT: ann: 1 reports wait for the number 1, which has not arrived"]
+    assert said[1] == ["MQTT: ann: 2 reports wait for the number 1, which has not arrived"]
+    assert said[3:] == [
+        ["MQTT: ann: 2 reports wait for the number 3, which has not arrived"],
+        ["MQTT: ann: 1 reports wait for the number 5, which has not arrived"],
+    ]
+
+
+def test_numbers_go_on_after_the_service_has_started_again(broker: Broker, tmp_path: Path) -> None:
+    """The broker keeps the subscriptions of the bridge, and this one sends what it keeps to new subscribers only."""
+    file = settings_file(tmp_path, broker)
+    for number, action in enumerate(("(fetch box-a)", "(return box-a)"), start=1):
+        here = Here(tmp_path / "session", ["ann"] if number == 1 else [])
+
+        async def work(number: int = number, action: str = action, here: Here = here) -> None:
+            while not here.bridge.connected:
+                await asyncio.sleep(0.01)
+            async with broker.client() as client:
+                await client.subscribe("line/ann/answers", qos=1)
+                report = {"action": action, "id": str(number), "n": number}
+                await client.publish("line/ann/action", json.dumps(report), qos=1)
+                answer: dict[str, Any] = {}
+                while answer.get("id") != str(number):  # first comes the last one of before, which the broker keeps
+                    answer = json.loads((await asyncio.wait_for(anext(client.messages), 5)).payload)
+                assert (answer["status"], answer["next"]) == ("recorded", number + 1)
+
+        here.run(file, work)
+
+
+def test_a_number_can_be_enormous() -> None:
+    order = InOrder[str]()
+    assert order.take(10**15, "last") == []
+    assert order.pass_over() == ["last"]
+    assert order.late(10**14)
+
+
+@pytest.mark.parametrize("text", ["", "line/{person}-x", "line/+", "#", "{a}/{a}", "line/{}"])
+def test_topics_are_checked(text: str) -> None:
+    with pytest.raises(ValueError, match="expected levels"):
+        Topic(text)
+
+
+@given(st.lists(st.text(st.characters(exclude_characters="/+#\0"), min_size=1), min_size=2, max_size=2))
+def test_a_topic_has_the_fields_with_which_it_was_filled(values: list[str]) -> None:
+    topic = Topic("line/{person}/at/{station}")
+    fields = dict(zip(("person", "station"), values, strict=True))
+    assert topic.fields(topic.fill(**fields)) == fields
+    assert topic.fields("line/a/at") is topic.fields("row/a/at/b") is topic.fields("line//at/b") is None
+    assert topic.filter == "line/+/at/+"
+
+
+def test_templates_take_words_only() -> None:
+    assert filled("(put {what} {where})", {"what": "17", "where": "b"}, {"17": "hammer"}) == "(put hammer b)"
+    assert filled("{action}", {"action": "(fetch box-a)"}, {}) == "(fetch box-a)"
+    for fields in ({"what": "a b", "where": "c"}, {"what": "a) (b", "where": "c"}, {"what": "a"}):
+        with pytest.raises(MessageError, match="expected"):
+            filled("(put {what} {where})", fields, {})
+
+
+@given(st.binary())
+def test_any_payload_is_read_or_refused(payload: bytes) -> None:
+    source = Observed(topic="line/{person}", number="{n}")
+    with suppress(MessageError):
+        source.report(source.fields("line/ann", payload), {})
+
+
+def test_fields_of_payloads() -> None:
+    assert fields_of(b'{"a": "x", "b": 7, "c": true, "d": [1], "e": null, "f": 1.5}') == {
+        "a": "x",
+        "b": "7",
+        "f": "1.5",
+    }
+    source = Observed(topic="line/{person}", number="{n}", seq="{seq}")
+    report = source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"}, {})
+    assert (report.number, report.values, report.fault) == (2, {"action": "(go)", "seq": "0"}, None)
+    for wrong in ({"n": "0"}, {"n": "x"}, {"id": ""}, {"id": "i" * 129}, {"seq": "-1"}):
+        with pytest.raises(MessageError, match="expected"):
+            source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0", **wrong}, {})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[observe]", "observe.topic: is missing; expected a text"),
+        ('[observe]\ntopic = "line"\nactoin = "x"', "observe.actoin: unknown; did you mean 'action'?"),
+        ('[[observe]]\ntopic = "line"\nactoin = "x"', "observe[1].actoin: unknown; did you mean 'action'?"),
+        ('[observe]\ntopic = "line/#"', "'line/#'; expected levels"),
+        ('[observe]\ntopic = "line"\npattern = "("', "is no regular expression"),
+        ('[observe]\ntopic = "line"\n[advice]\ntopic = "line"', "expected {person} in it"),
+        ('[observe]\ntopic = "line"\n[status]\ntopic = "{person}"', "expected no field in it"),
+        ('[observe]\ntopic = "line"\n[robot]\ntopic = "r"\nfields = ["speed"]', "expected some of arrived"),
+        ('[observe]\ntopic = "line"\n[broker]\nport = 0', "expected a port, 1 to 65535"),
+        ("observe = []", "observe: []; expected a table or more"),
+        (
+            '[observe]\ntopic = "line"\naction = "(place {item}"',
+            ":3: observe.action: (place {item} opens 1 and closes 0",
+        ),
+        ('[observe]\ntopic = "line"\naction = "place {item"', "expected fields as {name}"),
+        ('[observe]\ntopic = "line"\n\nid = "{scan"', ":4: observe.id: '{scan'; expected fields as {name}"),
+    ],
+)
+def test_faults_of_the_settings_are_said(text: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "bridge.toml"
+    file.write_text(text)
+    result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--bridge", str(file)])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert str(file) in result.stderr.replace("\n", "")
+    assert message in result.stderr
+
+
+def test_the_settings_in_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = [text for kind, text in BLOCK.findall((ROOT / "docs" / "line.md").read_text()) if kind == "toml"]
+    files = [tmp_path / f"{name}.toml" for name in ("mqtt", "opcua", "own_server", "ros2")]
+    for file, text in zip(files, shown, strict=True):
+        file.write_text(text)
+    (advice,) = OpcUaSettings.read(files[1]).advice
+    assert (advice.node, advice.person) == ("ns=2;s=A.Light", "ann")
+    monkeypatch.setenv("KITASSIST_OPCUA_PASSWORD", "secret")
+    assert OwnServerSettings.read(files[2]).own_server.url == "opc.tcp://0.0.0.0:4840"
+    go_to = Ros2Settings.read(files[3]).go_to
+    assert go_to is not None
+    assert go_to.goal_for("ann") == {"x": 1.0, "y": 2.5}
+    settings = MqttSettings.read(files[0])
+    (source,) = settings.sources
+    payload = b'{"item": "4006381333931", "slot": "slot-1", "scan": "s-17", "n": 3}'
+    report = source.report(source.fields("line/ann/action", payload), settings.names)
+    assert report == Report("ann", "s-17", values={"action": "(place hammer slot-1)"}, number=3)
+    assert (settings.broker.host, settings.port, settings.wait) == ("broker.example", 8883, 10.0)
+
+
+def test_passwords_and_certificates_come_from_the_environment(tmp_path: Path) -> None:
+    file = tmp_path / "bridge.toml"
+    file.write_text('[observe]\ntopic = "line/{person}"\n[broker]\ntls = true\nusername = "kits"')
+    settings = MqttSettings.read(file)
+    assert settings.port == 8883
+    assert settings.password({"KITASSIST_MQTT_PASSWORD": "secret"}) == "secret"
+    assert settings.context({}) is not None
+    for name, where in (("none.pem", "No such file"), ("bridge.toml", "")):
+        with pytest.raises(OSError, match=f"KITASSIST_MQTT_CA: .*{where}.*{name}"):
+            settings.context({"KITASSIST_MQTT_CA": str(tmp_path / name)})

@@ -1,0 +1,325 @@
+"""Teams as environments of Gymnasium and PettingZoo: the libraries' own checks, and the simulator's episodes."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
+from pettingzoo.utils.conversions import parallel_to_aec
+from test_unknown_goals import TASKS
+
+from assist import Pool, simulate
+from assist.connect.gymnasium import ID, TeamEnv, TeamVectorEnv
+from assist.connect.pettingzoo import parallel_env
+from assist.people.choices import Choices
+from assist.people.ranges import Population
+from assist.people.trust_rules import outcome_at_disagreement
+from assist.person.robots import Robot
+from assist.person.settings import Setting
+from assist.team.policy_names import POLICIES
+
+EPISODES = 4
+
+
+def total(env: TeamEnv, policy: str) -> list[float]:
+    """Return the discounted return of each episode in which a team policy decides."""
+    chooses = env.pool.policy(policy, env.team.travel)
+    returns = []
+    for episode in range(EPISODES):
+        env.reset(seed=5 if episode == 0 else None)
+        discounted, step, over = 0.0, 0, False
+        while not over:
+            action = env.encode(chooses(env.team)) if env.is_free else np.zeros_like(env.action_space.sample())
+            _, reward, terminated, truncated, info = env.step(action)
+            assert not np.any(info["illegal"])
+            discounted += env.pool.setting.gamma**step * reward
+            step, over = step + 1, terminated or truncated
+        returns.append(discounted)
+    return returns
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_an_episode_is_the_simulators(pool: Pool, policy: str) -> None:
+    found = simulate(pool, policy, humans=2, episodes=EPISODES, seed=5)
+    assert total(TeamEnv(pool, 2), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
+
+
+@pytest.mark.parametrize("world", ["people", "model"])
+def test_an_episode_is_the_simulators_with_another_rule_of_trust(tiny_choices: Choices, world: str) -> None:
+    setting = Setting(c_suggest=0.0, c_move=0.0, trust=outcome_at_disagreement(-4.0, 4.0, 4.0), max_steps=40)
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
+    found = simulate(pool, "attention", humans=3, episodes=EPISODES, seed=5, world=world)
+    assert total(TeamEnv(pool, 3, world=world), "attention") == pytest.approx(found.discounted_return.tolist())
+    constant = Pool.sample(tiny_choices, 4, seed=2, setting=replace(setting, trust="constant"))
+    other = simulate(constant, "attention", humans=3, episodes=EPISODES, seed=5, world=world)
+    assert other.discounted_return.tolist() != found.discounted_return.tolist()
+
+
+@pytest.mark.parametrize("world", ["people", "model"])
+def test_an_episode_is_the_simulators_where_ways_take_time(tiny_choices: Choices, world: str) -> None:
+    setting = Setting(c_suggest=0.1, travel_time=2.0, max_steps=8)
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
+    found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5, world=world)
+    assert found.interventions.any()
+    assert not found.finished.all()  # some are cut off
+    assert total(TeamEnv(pool, 3, world=world), "priority") == pytest.approx(found.discounted_return.tolist())
+
+
+def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> None:
+    found = simulate(
+        pool, "attention", humans=2, episodes=70, seed=5
+    )  # random numbers are drawn for 64 episodes at a time
+    env = TeamVectorEnv(pool, 70, 2)
+    chooses = pool.policy("attention")
+    env.reset(seed=5)
+    assert env.np_random_seed == 5
+    returns, going, begun = np.zeros(70), np.ones(70, dtype=bool), 0
+    for step in range(pool.setting.max_steps):
+        seen, reward, terminated, truncated, info = env.step(env.encode(chooses(env.team)))
+        assert seen in env.observation_space
+        assert (info["action_mask"] == seen["action_mask"]).all()
+        returns[going] += pool.setting.gamma**step * reward[going]
+        ended = terminated | truncated
+        begun += int((~going & (seen["active"].all(axis=1)) & (seen["location"] == 0)).sum())
+        going &= ~ended
+        if not going.any():
+            break
+    assert returns == pytest.approx(found.discounted_return)
+    assert begun > 0  # finished teams are reset while others continue
+
+
+def test_gymnasium_finds_nothing_wrong(pool: Pool) -> None:
+    env = gymnasium.make("kitassist/Team-v0", instance="kitting/tiny", humans=2, people=2)
+    assert "belief" in env.observation_space.spaces
+    check_env(env.unwrapped)
+    unseen = TeamEnv(pool, 2, beliefs=False)
+    assert "belief" not in unseen.observation_space.spaces
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*not able to test alternative render modes.*")
+        check_env(unseen, skip_render_check=True)
+
+
+def test_it_is_found_by_its_module_with_nothing_imported_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(gymnasium.registry, ID)
+    monkeypatch.delitem(sys.modules, "assist.connect.gymnasium")
+    monkeypatch.setattr("assist.connect.gymnasium", None)  # is put back afterwards
+    env = gymnasium.make(f"assist.connect.gymnasium:{ID}", instance="kitting/tiny", humans=1, people=1)
+    assert env.spec is not None
+    assert env.spec.id == ID
+
+
+def test_many_are_made_natively() -> None:
+    env = gymnasium.make_vec(ID, num_envs=3, instance="kitting/tiny", humans=2, people=2)
+    assert isinstance(env.unwrapped, TeamVectorEnv)
+    first, _ = env.reset(seed=[1, 2, 3])
+    again, _ = env.reset(seed=[1, 2, 3])
+    assert all((first[name] == again[name]).all() for name in first)
+    unseen = TeamVectorEnv(env.unwrapped.pool, 3, 2, beliefs=False)
+    other, _ = unseen.reset(seed=[1, 2, 3])
+    assert {*first} - {*other} == {"belief"}
+    for _ in range(3):  # without beliefs, the dynamics are the same
+        first, *_ = env.step(np.zeros(3, dtype=int))
+        other, *_ = unseen.step(np.zeros(3, dtype=int))
+        assert (first["state"] == other["state"]).all()
+
+
+def test_what_is_not_possible_does_nothing_and_says_so(pool: Pool) -> None:
+    env, quiet = TeamEnv(pool, 2), TeamEnv(pool, 2)
+    env.reset(seed=1)
+    quiet.reset(seed=1)
+    env.step(0)
+    quiet.step(0)
+    (forbidden, *_) = np.flatnonzero(~env.action_masks())
+    seen, reward, *_, info = env.step(int(forbidden))
+    other, same, *_, said = quiet.step(0)
+    assert (info["illegal"], said["illegal"]) == (True, False)
+    assert reward == same
+    assert all(np.array_equal(seen[name], other[name]) for name in seen)
+    with pytest.raises(ValueError, match="expected 0 to"):
+        env.step(1000)
+
+
+def test_a_suggestion_is_heard(pool: Pool) -> None:
+    """After a suggestion, the observation of the person changes and the robot is there."""
+    env = TeamEnv(pool, 2)
+    seen, info = env.reset(seed=2)
+    action = int(np.flatnonzero(info["action_mask"])[-1])
+    after, reward, *_ = env.step(action)
+    assert (seen["location"], after["location"]) == (0, 2)
+    assert reward == pytest.approx(-(2 + pool.setting.c_move + pool.setting.c_suggest))
+    assert not np.array_equal(seen["belief"][1], after["belief"][1])
+
+
+def test_a_team_is_drawn() -> None:
+    env = gymnasium.make(ID, instance="kitting/tiny", humans=2, people=2, render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    env.step(0)
+    second = env.render()
+    assert first.dtype == np.uint8
+    assert first.shape[2] == 3
+    assert first.shape != second.shape or not np.array_equal(first, second)
+    drawn = TeamEnv("kitting/tiny", 1, people=1, render_mode="svg")
+    drawn.reset(seed=0)
+    assert "person 1, step 0" in drawn.render()
+
+
+@pytest.mark.parametrize("actions", [{"robot_0": -1, "robot_1": 0}, {"robot_0": 99, "robot_1": 0}, {"robot_1": 0}])
+def test_an_action_of_an_agent_is_one_of_its_robot(tiny_choices: Choices, actions: dict[str, int]) -> None:
+    env = parallel_env(Pool.sample(tiny_choices, 2, seed=2, setting=Setting(robots=2)), 2)
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match=r"expected (0 to \d+, for each of 2 robots|one of robot_0)"):
+        env.step(actions)
+
+
+def test_an_environment_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from planner.system.errors import MissingExtraError
+
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    for name in ("assist.connect.gymnasium", "assist.connect.pettingzoo"):
+        monkeypatch.delitem(sys.modules, name)
+        with pytest.raises(MissingExtraError, match=r"environments need gymnasium: .*\[gym\]"):
+            importlib.import_module(name)
+    assert tmp_path.exists()
+
+
+@pytest.mark.parametrize("travel_time", [0.0, 2.0])
+def test_an_episode_of_two_robots_is_the_simulators(tiny_choices: Choices, travel_time: float) -> None:
+    setting = Setting(c_suggest=0.1, travel_time=travel_time, robots=2, max_steps=30)
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
+    found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5)
+    assert total(TeamEnv(pool, 3), "priority") == pytest.approx(found.discounted_return.tolist())
+
+
+@pytest.mark.parametrize("policy", ["priority", "attention"])
+def test_an_episode_of_robots_that_differ_is_the_simulators(tiny_choices: Choices, policy: str) -> None:
+    """One robot executes actions, one is slow and cheap; each pays its own costs, and what it cannot do is masked."""
+    robots = (Robot(execute=True, c_execute=0.1, c_move=0.4), Robot(c_suggest=0.05, travel_time=1.0))
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(c_suggest=0.1, robots=robots, max_steps=30))
+    found = simulate(pool, policy, humans=3, episodes=EPISODES, seed=5)
+    assert found.executed.any()
+    env = TeamEnv(pool, 3)
+    assert total(env, policy) == pytest.approx(found.discounted_return.tolist())
+    _, info = env.reset(seed=1)
+    first, second = info["action_mask"]
+    assert first.sum() > second.sum() > 1
+
+
+def test_robots_that_differ_and_act_at_random_never_attend_to_the_same_person(tiny_choices: Choices) -> None:
+    robots = (Robot(execute=True), Robot(c_move=0.1), Robot(travel_time=1.0))
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(robots=robots, max_steps=30))
+    env = parallel_env(pool, 3)
+    rng, made_room = np.random.default_rng(0), False
+    for episode in range(20):
+        _, info = env.reset(seed=episode)
+        while env.agents:
+            before = env.team.location[0].copy()
+            wanted = {agent: int(rng.choice(np.flatnonzero(info[agent]["action_mask"]))) for agent in env.agents}
+            *_, info = env.step(wanted)
+            there = env.team.location[0]
+            assert len(set(there[there >= 0].tolist())) == (there >= 0).sum()
+            made_room |= bool(((there < 0) & (before >= 0)).any())
+    assert made_room
+
+
+def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None:
+    slow = {"instance": "kitting/tiny", "humans": 3, "people": 4, "setting": Setting(robots=2, travel_time=1)}
+    env = gymnasium.make("kitassist/Team-v0", **slow)
+    check_env(env.unwrapped, skip_render_check=True)
+    many = gymnasium.make_vec("kitassist/Team-v0", num_envs=16, **slow)
+    seen, info = many.reset(seed=1)
+    many.action_space.seed(1)
+    collided = False
+    for _ in range(60):
+        assert seen in many.observation_space
+        assert ((seen["location"][:, 0] != seen["location"][:, 1]) | (seen["location"] == 0).all(axis=1)).all()
+        assert (info["action_mask"][~seen["free"].astype(bool)][:, 1:] == 0).all()
+        numbers = many.action_space.sample()
+        allowed = np.take_along_axis(info["action_mask"], numbers[..., None], axis=2)[..., 0] > 0
+        seen, *_, info = many.step(numbers)
+        collided |= bool((info["illegal"] & allowed).any())
+    assert collided
+    with pytest.raises(ValueError, match=r"expected 0 to \d+, for each of 2 robots"):
+        env.unwrapped.step(0)
+
+
+@pytest.mark.parametrize("robots", [1, 2, 3])
+def test_pettingzoo_finds_nothing_wrong_with_moving_robots(
+    tiny_choices: Choices, robots: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pool = Pool.sample(tiny_choices, 3, seed=2, setting=Setting(robots=robots, travel_time=1, max_steps=30))
+
+    def make() -> object:
+        return parallel_env(instance=pool, humans=2)
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(action mask|Action mask|observation|NaN).*")
+        parallel_api_test(make(), num_cycles=60)
+        parallel_seed_test(make, num_cycles=20)
+        api_test(parallel_to_aec(make()), num_cycles=60)
+    assert capsys.readouterr().out.count("Passed") == 2
+    assert make().possible_agents == [f"robot_{number}" for number in range(robots)]
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_an_episode_of_agents_is_the_simulators(tiny_choices: Choices, robots: int) -> None:
+    """Agents that follow a team policy: same returns; each sees its own place first, and possible actions are legal."""
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(c_suggest=0.1, robots=robots))
+    found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5)
+    env = parallel_env(pool, 3)
+    chooses, returns = pool.policy("priority", env.team.travel), []
+    for episode in range(EPISODES):
+        seen, _ = env.reset(seed=5 if episode == 0 else None)
+        discounted, step = 0.0, 0
+        while env.agents:
+            for agent in env.agents:
+                assert seen[agent] in env.observation_space(agent)
+            first = [int(seen[agent]["location"][0]) for agent in env.agents]
+            assert first == (env.team.location.reshape(-1) + 1).tolist()
+            actions = env.encode(chooses(env.team))
+            assert all(seen[agent]["action_mask"][number] for agent, number in actions.items())
+            seen, reward, *_, info = env.step(actions)
+            assert not any(info[agent]["illegal"] for agent in info)
+            assert len(set(reward.values())) == 1
+            discounted += pool.setting.gamma**step * reward["robot_0"]
+            step += 1
+        returns.append(discounted)
+    assert returns == pytest.approx(found.discounted_return.tolist())
+
+
+def test_of_two_robots_that_want_the_same_person_the_first_goes_there(tiny_choices: Choices) -> None:
+    env = parallel_env(Pool.sample(tiny_choices, 2, seed=2, setting=Setting(robots=2)), 2)
+    env.reset(seed=1)
+    seen, *_, info = env.step({"robot_0": 1, "robot_1": 1})
+    assert [info[agent]["illegal"] for agent in env.agents] == [False, True]
+    assert seen["robot_0"]["location"].tolist() == [1, 0]
+    assert seen["robot_1"]["location"].tolist() == [0, 1]
+    with pytest.raises(ValueError, match="actions: expected one of robot_1"):
+        env.step({"robot_0": 0})
+    with pytest.raises(ValueError, match=r"action .* expected 0 to"):
+        env.step({"robot_0": 0, "robot_1": 999})
+
+
+@pytest.mark.parametrize("world", ["people", "model"])
+def test_an_episode_is_the_simulators_where_goals_are_unknown(world: str) -> None:
+    """A learner is shown the mean cost-to-go under its belief, as a team policy is."""
+    setting = Setting(c_suggest=0.01, c_move=0.0, knowledge="exact", max_steps=30)
+    pool = Pool.sample(TASKS["tiny"], 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.4)))
+    for policy in ("reactive", "attention"):
+        found = simulate(pool, policy, humans=2, episodes=EPISODES, seed=5, world=world)
+        assert found.interventions.any()
+        assert total(TeamEnv(pool, 2, world=world), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
+    env = TeamEnv(pool, 2, world=world)
+    seen, _ = env.reset(seed=3)
+    for _ in range(5):
+        np.testing.assert_allclose(seen["cost_to_go"], env.team.cost_to_go()[0], rtol=1e-6)
+        seen = env.step(0)[0]
+    assert seen["belief"].shape == (2, *pool.policies[0].pomdp.prior.shape)

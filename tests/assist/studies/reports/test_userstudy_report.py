@@ -1,0 +1,366 @@
+"""A rehearsal in one command, its export, which other programs read, and its correct figures."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import io
+import json
+import math
+import re
+import statistics
+import time
+import zipfile
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import KITTING
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+from userstudies import PLAN, written
+
+from assist.cli import main
+from assist.declare import catalogue
+from assist.learning.statistics import between_groups, cronbach_alpha, detectable
+from assist.studies.reports import study_report, userstudy_report
+from assist.studies.reports.repeated_measures import detectable_within, within_participants
+from assist.studies.userstudy.tables import COLUMNS
+from assist.studies.userstudy.tables import written as written_rows
+from assist.web.user_study import rehearsal, server
+from planner.system.errors import InputFileError, MissingExtraError
+
+
+def run(*words: object) -> Any:
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def read(folder: Path, name: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO((folder / name).read_text())))
+
+
+@pytest.mark.slow
+def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # All arrive at once, and the leaver is slow, so that for a while one place is missing.
+    monkeypatch.setattr(server, "rehearse", partial(rehearsal.rehearse, at_once=9))
+    step = rehearsal.SimulatedParticipant._step
+
+    def slowly(self: Any, seen: dict[str, Any]) -> dict[str, Any]:
+        if self._leaves is not None:
+            time.sleep(0.5)
+        return step(self, seen)
+
+    monkeypatch.setattr(rehearsal.SimulatedParticipant, "_step", slowly)
+    file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", "seed = 3\nparticipants = 8"))
+    data, unpacked = tmp_path / "data", tmp_path / "export"
+    public = ("--public-url", "https://host.example/kits/")  # which a rehearsal does not need to be there
+    said = run("serve", "--study", file, "--rehearse", 8, "--data", data, "--port", 0, *public)
+    assert set(links := json.loads(said.stdout)) == {"url", "operator", "join"}
+    assert links["join"]["everybody"].startswith(f"{links['url']}/study#")
+    assert links["url"] == "https://host.example/kits"
+    with zipfile.ZipFile(data / "user-study.zip") as packed:
+        packed.extractall(unpacked)
+
+    people, tasks, actions, answers = (
+        read(unpacked, f"{name}.csv") for name in ("participants", "tasks", "actions", "answers")
+    )
+    done = [one for one in people if one["status"] == "done"]
+    assert [one["condition"] for one in done].count("none") == len(done) / 2 == 4
+    assert len(people) == 9  # one left before the task, and counts in no condition
+    assert [one["condition"] for one in people if one["status"] != "done"] == [""]
+    assert len({one["completion_code"] for one in done}) == 8
+    assert len(answers) == 8 * (6 + 2 + 1)
+    for name in ("participants", "tasks", "actions", "answers", "events"):
+        columns = [one["column"] for one in read(unpacked, "dictionary.csv") if one["table"] == name]
+        assert (unpacked / f"{name}.csv").read_text().splitlines()[0] == ",".join(columns)
+    for task in tasks:
+        own = [one for one in actions if one["participant"] == task["participant"] and one["task"] == "tiny"]
+        assert int(task["actions"]) == len(own)
+        assert int(task["suggestions"]) == sum(one["suggestion"] != "" for one in own)
+        worse = [one for one in own if float(one["cost_after"]) >= float(one["cost_before"])]  # as each action costs 1
+        assert int(task["suboptimal_actions"]) == len(worse) == sum(one["optimal"] == "false" for one in own)
+        assert (task["finished"], own[-1]["cost_after"], task["optimal_cost"]) == ("true", "0.0", "6.0")
+
+    # The same figures by other means.
+    summary = json.loads((data / "report" / "summary.json").read_text())
+    assert summary["simulated"]
+    counted = {
+        name: [float(one["actions"]) for one in tasks if one["condition"] == name] for name in ("none", "attention")
+    }
+    measure = summary["measures"][0]
+    for cell in measure["cells"]:
+        values = counted[cell["condition"]]
+        half = stats.t.ppf(0.975, 3) * statistics.stdev(values) / 2
+        assert (cell["n"], cell["mean"]) == (4, pytest.approx(statistics.mean(values)))
+        assert cell["high"] - cell["mean"] == pytest.approx(half)
+    apart = statistics.mean(counted["attention"]) - statistics.mean(counted["none"])
+    assert measure["differences"][0]["mean"] == pytest.approx(apart)
+    trust = {one["measure"]: one for one in summary["measures"]}["trust"]
+    given: dict[str, dict[str, int]] = {one["participant"]: {} for one in done if one["condition"] == "none"}
+    for one in answers:
+        if one["participant"] in given and one["questionnaire"] == "trust":
+            given[one["participant"]][one["item"]] = int(one["answer"])
+    means = [(one["rely"] + 8 - one["wary"]) / 2 for one in given.values()]
+    assert trust["cells"][0]["mean"] == pytest.approx(statistics.mean(means))
+    assert [row["reached"] for row in summary["flow"]][-1] == 8
+    assert sum(row["left"] for row in summary["flow"]) == 1
+
+    assert json.loads((unpacked / "versions.json").read_text())["kitassist"] == metadata.version("kitassist")
+    text = (data / "report" / "report.md").read_text()
+    assert "**Rehearsal.** Participants are simulated" in text
+    assert "**Few participants.** Fewer than 10 in every condition" in text
+    for name in ("outcomes", "differences", "flow", "scales-nasa-tlx", "scales-trust"):
+        assert f"](figures/{name}.png)" in text
+        assert (data / "report" / "figures" / f"{name}.svg").stat().st_size > 1000
+
+    # An unpacked export gives the same report as the folder, and `fit` reads its log.
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(userstudy_report, "_pictures", lambda *_: iter(()))  # which are drawn already
+        assert json.loads(run("study-report", unpacked, "--json").stdout) == summary
+        assert "actions per task" in run("study-report", data, "--out", tmp_path / "again").stdout
+    fitted = json.loads(run("fit", KITTING / "tiny.pddl", unpacked / "log-tiny.jsonl", "--json").stdout)
+    assert {one["person"]: one["actions"] for one in fitted} == {
+        one["participant"]: int(one["actions"]) for one in tasks
+    }
+
+
+def exported(folder: Path, **rows: list[dict[str, object]]) -> Path:
+    """Write an unpacked export with the given rows."""
+    folder.mkdir()
+    written(folder / "study.toml")
+    for name, columns in COLUMNS.items():
+        plain = written_rows(columns, [dict.fromkeys(columns) | row for row in rows.get(name, [])])
+        (folder / f"{name}.csv").write_text(plain)
+    return folder
+
+
+def test_a_study_in_which_hardly_anybody_took_part_says_so(tmp_path: Path) -> None:
+    nobody = run("study-report", exported(tmp_path / "nobody"), "--out", tmp_path / "report")
+    assert "actions per task" in nobody.stdout
+    text = (tmp_path / "report" / "report.md").read_text()
+    assert "Conditions with fewer than two participants cannot be compared." in text
+    assert "rehearsal" not in text
+    assert "](figures/" not in text
+
+
+FRAGMENT = re.compile(r"[^{}]{14,}")
+
+
+def german(folder: Path, plan: str) -> Path:
+    """Write an unpacked export of a study in German, in which four people finished and two left."""
+    people: list[dict[str, object]] = []
+    done = [("P1", "none"), ("P2", "attention"), ("P3", "none"), ("P4", "attention")]
+    for name, condition in done:
+        people += [{"participant": name, "condition": condition, "status": "done", "stage": "thanks", "group": None}]
+    people += [
+        {"participant": f"P{n}", "status": status, "stage": "consent", "excluded": why}
+        for n, (status, why) in enumerate([("gone", None), ("withdrew", None), ("declined", "zu spät")], start=5)
+    ]
+    every = [one | {"simulated": True, "failed_checks": 0} for one in people]
+    where = [{"participant": name, "condition": condition, "period": 1} for name, condition in done]
+    tasks = [
+        one | {"task": "tiny", "finished": True, "actions": 6 + n, "suggestions": n % 2, "followed": n % 2}
+        | {"seconds": 2.5 * n, "suboptimal_actions": n, "optimal_cost": 6.0, "position": 1}
+        for n, one in enumerate(where)
+    ]  # fmt: skip
+    answers = [
+        one | {"questionnaire": "trust", "item": item, "position": n, "answer": str(1 + n), "score": float(1 + n)}
+        for n, one in enumerate(where)
+        for item in ("rely", "wary")
+    ]
+    exported(folder, participants=every, tasks=tasks, answers=answers)
+    written(folder / "study.toml", plan.replace("seed = 3", 'seed = 3\nlanguage = "de"'))
+    return folder
+
+
+def test_the_report_of_a_german_study_is_german_also_in_its_figures(tmp_path: Path) -> None:
+    plan = PLAN.replace("seed = 3", 'seed = 3\nconfirmatory = ["actions"]')
+    folder = german(tmp_path / "data", plan)
+    assert "Aktionen pro Aufgabe" in run("study-report", folder).stdout
+    text, page = ((folder / "report" / f"report.{kind}").read_text("utf-8") for kind in ("md", "html"))
+    drawn = "\n".join(file.read_text("utf-8") for file in (folder / "report" / "figures").glob("*.svg"))
+    assert '<html lang="de">' in page
+    for said in (
+        "**Probe.** Die Teilnehmenden sind simuliert", "| gekommen | 7 |",
+        "zurückgetreten; ihre Daten sind entfernt | 1 |", "| von der Studienleitung ausgeschlossen: zu spät | 1 |",
+        "| Aktionen pro Aufgabe | 7,0 (",
+        "### Konfirmatorisch", "Wenige Teilnehmende", "Cronbachs Alpha über seine Fragen: 1,00.",
+        "![Verlauf der Teilnehmenden](figures/flow.png)", "Umgekehrte Fragen sind umgepolt.",
+        "| confirmatory | [\"actions\"] |", "| seed | 3 |",
+    ):  # fmt: skip
+        assert said in text, said
+    assert "Teilnehmende, die diesen Abschnitt erreichten" in drawn
+    assert re.search(r"<!-- \d+,\d+ -->", drawn)  # numbers at the axes
+    english = catalogue("en").section("report")
+    fragments = {one.strip() for words in english.values() for one in FRAGMENT.findall(words) if " " in one.strip()}
+    assert len(fragments) > 50
+    assert [one for one in fragments if one in text or one in page or one in drawn] == []
+
+
+def test_the_template_of_the_report_has_no_words_of_its_own() -> None:
+    source = (Path(userstudy_report.__file__).with_name("userstudy_report.md.jinja")).read_text(encoding="utf-8")
+    own = re.sub(r"\{%.*?%\}|\{\{.*?\}\}", "", source, flags=re.DOTALL)
+    assert not re.search(r"[A-Za-z]", own), own
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ('design = "within"', "Verglichen wird innerhalb der Personen"),
+        ('[group]\nsize = 2\nthen = "start"', "Die Einheit der Auswertung ist die Gruppe"),
+    ],
+)
+def test_every_design_has_a_german_report(tmp_path: Path, more: str, said: str) -> None:
+    folder = exported(tmp_path / "data")
+    plan = PLAN.replace("simulated = 2", "simulated = 0").replace("seed = 3", 'seed = 3\nlanguage = "de"')
+    plan = f"{plan}\n{more}" if more.startswith("[") else plan.replace("seed = 3", f"seed = 3\n{more}")
+    written(folder / "study.toml", plan)
+    run("study-report", folder)
+    assert said in (folder / "report" / "report.md").read_text("utf-8")
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_what_people_typed_breaks_neither_the_page_nor_a_table(tmp_path: Path) -> None:
+    away = [
+        {"participant": f"P{number}", "status": "gone", "stage": "consent", "excluded": "left | <ran>"}
+        for number in range(2)
+    ]
+    folder = exported(tmp_path / "data", participants=away)
+    written(folder / "study.toml", PLAN.replace("A small study", "Kits </title> & 'trays'"))
+    run("study-report", folder)
+    assert r"| excluded by the researchers: left \| &lt;ran> | 2 |" in (folder / "report" / "report.md").read_text()
+    assert "<title>Kits &lt;/title&gt; &amp; &#39;trays&#39;</title>" in (folder / "report" / "report.html").read_text()
+
+
+@pytest.mark.parametrize("package", ["jinja2", "markdown"])
+@pytest.mark.parametrize("report", [study_report, userstudy_report])
+def test_without_a_package_the_extra_is_named(report: Any, package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == package else found(name))
+    with pytest.raises(MissingExtraError, match=rf"reports need {package}: .*\[study\]"):
+        report.require()
+
+
+def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:
+    folder = exported(tmp_path / "export", tasks=[{"actions": 3.0}])
+    file = folder / "tasks.csv"
+    for wrong, words in (
+        (file.read_text().replace("3.0", "three"), "tasks.csv:2: expected a number"),
+        (file.read_text().replace("actions,", "", 1), r"tasks.csv:2: expected \d+ columns, as in line 1"),
+        (file.read_text().replace("period", "periods", 1), "tasks.csv:1: expected the columns participant"),
+    ):
+        file.write_text(wrong)
+        with pytest.raises(InputFileError, match=words):
+            userstudy_report.of_folder(folder)
+
+
+def test_an_answer_that_a_spreadsheet_would_calculate_is_text(tmp_path: Path) -> None:
+    folder = exported(tmp_path / "export", answers=[{"answer": "=1+1"}, {"answer": "-1"}, {"answer": "1-1"}])
+    assert [row["answer"] for row in read(folder, "answers.csv")] == ["'=1+1", "'-1", "1-1"]
+
+
+@given(st.text(st.sampled_from("'=+-@\t\r\nab,\""), min_size=1))
+def test_a_text_is_read_back_as_it_was(text: str) -> None:
+    """Whatever somebody wrote, an export's report has it too; carriage returns become line feeds."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "answers.csv"
+        file.write_text(written_rows(COLUMNS["answers"], [dict.fromkeys(COLUMNS["answers"]) | {"answer": text}]))
+        (row,) = csv.reader(file.read_text().splitlines(keepends=True)[1:])
+        assert not row[list(COLUMNS["answers"]).index("answer")].startswith(("=", "+", "-", "@", "\t"))
+        (found,) = userstudy_report._rows(file, COLUMNS["answers"])
+    assert found["answer"] == text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_names_that_look_like_formulas_are_in_the_report_of_an_export(tmp_path: Path) -> None:
+    plan = PLAN.replace('name = "attention"', 'name = "+robot"').replace(
+        "[[conditions]]",
+        """[[questionnaires]]
+form = "choice"
+name = "change"
+items = [{ name = "change", text = "Was it better?", options = ["-1", "0", "+1"] }]
+
+[[conditions]]""",
+        1,
+    )
+    where = {"participant": "P1", "condition": "+robot", "period": 1}
+    folder = exported(
+        tmp_path / "export",
+        participants=[{
+            "participant": "P1", "condition": "+robot", "status": "done", "stage": "thanks", "simulated": False,
+            "failed_checks": 0,
+        }],
+        tasks=[where | {"task": "tiny", "finished": True, "actions": 7, "suggestions": 0, "followed": 0}],
+        answers=[where | {"questionnaire": "change", "item": "change", "position": 1, "answer": "+1"}],
+    )  # fmt: skip
+    written(folder / "study.toml", plan)
+    summary = json.loads(run("study-report", folder, "--json").stdout)
+    cells = {cell["condition"]: cell["n"] for cell in summary["measures"][0]["cells"]}
+    assert cells == {"none": 0, "+robot": 1}
+    counts = {one["condition"]: one["counts"] for one in summary["answers"] if one["item"] == "change"}
+    assert counts["+robot"] == {"-1": 0, "0": 0, "+1": 1}
+
+
+def test_what_the_command_refuses(tmp_path: Path) -> None:
+    file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", "seed = 3\nparticipants = 8"))
+    for words, message in [
+        (["serve"], "expected INSTANCE and --humans K, or --study FILE.toml"),
+        (["serve", "--study", file], "--study: expected --data DIR as well"),
+        (
+            ["serve", "--study", file, "--data", tmp_path, "--policy", "none"],
+            "--policy cannot be combined with --study",
+        ),
+        (["serve", "--study", file, "--data", tmp_path, "--rehearse", "9"], "the study is planned for 8 participants"),
+        (["serve", "--study", written(tmp_path / "bad.toml", "tasks = 1")], "bad.toml:1: tasks: 1; expected a list"),
+    ]:
+        result = CliRunner().invoke(main, [str(word) for word in words])
+        assert (result.exit_code, message in result.stderr) == (2, True), result.stderr
+    result = CliRunner().invoke(main, ["study-report", str(tmp_path)])
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+
+
+def test_statistics_are_those_worked_out_by_hand() -> None:
+    a, b = [1.0, 2.0, 3.0], [2.0, 4.0, 6.0, 8.0]
+    compared = between_groups(a, b)
+    found, peer = compared.difference, stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
+    assert (found.value, found.low, found.high) == pytest.approx((-3, peer.low, peer.high))
+    assert compared.hedges_g.value == pytest.approx(-3 / math.sqrt(4.4) * (1 - 3 / 19))
+    assert cronbach_alpha([[1, 1], [2, 3], [3, 2]]) == pytest.approx(2 * (1 - 2 / 3))
+    assert cronbach_alpha([[1, 2], [2, 3], [3, 4]]) == pytest.approx(1)
+    assert detectable(126, math.sqrt(32)) == pytest.approx(0.5, abs=0.005)  # Cohen (1988): 64 in each group for d = 0.5
+    crossed = [(1, 2), (2, 1)]
+    assert detectable_within(crossed * 17) == pytest.approx(0.5, abs=0.01)  # as G*Power has it: 34 pairs for d = 0.5
+    for nothing in (
+        within_participants([1, 1], crossed).difference.low, within_participants([1, 2], crossed).hedges_g.value,
+        detectable_within([(1, 2)]), detectable_within(crossed), detectable_within([(1, 2)] * 9),
+        between_groups([1], [2, 3]).difference.low, between_groups([1], [2, 3]).hedges_g.value,
+        between_groups([1, 1], [2, 2]).p, cronbach_alpha([[1, 2]]), detectable(0, 1.0),
+    ):  # fmt: skip
+        assert math.isnan(nothing)
+
+
+@pytest.mark.parametrize("periods", [[(1, 2), (2, 1)] * 3, [(1, 2)] * 2 + [(2, 1)] * 5, [(1, 2), (2, 3), (3, 1)] * 3])
+def test_four_of_five_studies_show_the_difference_that_is_called_detectable(periods: list[tuple[int, int]]) -> None:
+    """Also in small studies, in which the effects of periods take degrees of freedom, and with unequal orders."""
+    effect, rng, studies = detectable_within(periods), np.random.default_rng(5), 1500
+    learnt = np.array([2.0 * before - 2.0 * after for after, before in periods])
+    drawn = effect + learnt + rng.standard_normal((studies, len(periods)))
+    shown = [within_participants(one, periods).p < 0.05 for one in drawn]
+    assert np.mean(shown) == pytest.approx(0.8, abs=0.031)  # three standard errors
+
+
+def test_no_cell_of_a_table_is_a_formula() -> None:
+    cells = ["=1+1", "+1", "-1", "@x", "\tx", "\rx", "a\r\nb", "x=1", "", None, -1, True]
+    found = written_rows(("any",), [{"any": cell} for cell in cells])
+    rows = [row[0] if row else "" for row in csv.reader(io.StringIO(found, newline=""))]
+    assert rows == ["any", "'=1+1", "'+1", "'-1", "'@x", "'\tx", "'\nx", "a\nb", "x=1", "", "", "-1", "true"]

@@ -1,0 +1,363 @@
+"""What a participant withdraws is in no byte of the study's folder, whatever fails; that somebody withdrew remains."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import pytest
+from store_faults import Failing
+from test_event_store import content, forked
+from userstudies import PLAN, SCORES, Open, Part, opened, written
+
+from assist.cli.user_study import _report
+from assist.declare import AbsentError, InapplicableError
+from assist.declare.refusals import Refusal
+from assist.live.store import JournalError, stored
+from assist.studies.reports.report_files import html_page
+from assist.studies.reports.userstudy_report import write_report
+from assist.studies.reports.userstudy_summary import summarise
+from assist.studies.userstudy.cohort import Cohort
+from assist.studies.userstudy.events import Withdrew
+from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import JOURNAL, REPORT, StudySession
+from assist.studies.userstudy.tables import tables
+from planner import Table
+
+GROUPED = PLAN.replace("simulated = 2", "simulated = 0") + '[group]\nsize = 3\nthen = "start"\n'
+__all__ = ["opened"]
+SLIDERS = {**SCORES["nasa-tlx"], "mental": 85}
+
+
+def answers(part: Part) -> None:
+    """Go to the last stage, with words of one's own."""
+    part.to("questionnaire nasa-tlx")
+    part.onward(SLIDERS)
+    part.to("questionnaire remarks")
+    part.onward({"remarks": f"words of {part.name}"})
+
+
+def of_others(session: StudySession, name: str) -> Any:
+    """Return everything that is seen and recorded of the others."""
+    found = tables(session.study, session.folder / JOURNAL)
+    rows = [
+        row
+        for table in (found.participants, found.tasks, found.actions, found.answers, found.events)
+        for row in table
+        if row["participant"] != name
+    ]
+    views = {one: session.entry(one) for one in session.people if one != name}
+    beliefs = {one: belief for one, belief in session.beliefs().items() if not one.startswith(name)}
+    return views, rows, beliefs, [row for row in session.log() if row["person"] != name], session.cohort.begun
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize("late", [False, True])
+def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool) -> None:
+    """Neither in the journal and its log, nor in the export and the report, nor in what a killed process left."""
+    session = opened()
+    ann, eve, cid = (Part(session, name) for name in ("ann", "P-EVE234", "cid"))
+    for part in (ann, eve, cid):
+        part.come()
+        answers(part)
+    if not late:
+        eve = Part(session, "P-EVE235")
+        eve.come()
+        eve.to("practice")
+        eve.errs()
+    folder, own = session.folder, eve.name
+    _report(folder)
+    (folder / "report" / ".unfinished-1-summary.json").write_bytes(content(folder))
+    place, before = session.people.index(own), of_others(session, own)
+    traces = [f"words of {own}"] if late else ["(fetch", '"cost_before"']
+    kept = {
+        n: record for n, (_, record) in enumerate(stored(folder / JOURNAL)[1]) if record["event"].get("person") == own
+    }
+    assert all(trace.encode() in content(folder) for trace in traces)
+    status = session.cohort.participants[own]
+    at, condition = status.at, status.condition
+    for _ in range(2):
+        assert eve.report("withdrew", id="asked once")["study"]["kind"] == "withdrew"
+    assert f"words of {own}".encode() not in content(folder)
+    for n, (utc, record) in enumerate(stored(folder / JOURNAL)[1]):
+        if n in kept:
+            assert utc is None
+            assert set(record) <= {"n", "time", "event", "status", "condition"}
+            assert set(record["event"]) <= {"kind", "person", "reached", "id", "simulated"}
+            assert record["event"]["kind"] in ("visited", "erased")
+            assert record["time"] <= kept[n]["time"]
+    assert sorted(file.name for file in folder.rglob("*") if file.is_file()) == sorted(
+        ["journal.lock", "journal.sqlite", "journal.sqlite-shm", "journal.sqlite-wal", "study.toml"]
+    )
+    assert (folder / "journal.sqlite-wal").stat().st_size < 5000  # the mark that all is removed; no page with records
+    assert of_others(session, own) == before
+    row = tables(session.study, folder / JOURNAL).participants[place]
+    assert {name: value for name, value in row.items() if value not in (None, False, 0)} == {
+        "participant": own, "status": "withdrew", "stage": session.study.stages[at].name,
+        **({"condition": condition} if condition else {}),
+    }  # fmt: skip
+    session.close()
+    session = opened()
+    assert of_others(session, own) == before
+    assert session.person(own)["study"]["kind"] == "withdrew"
+    assert eve.name in session.people  # who cannot take part again
+    again = Part(session, own)
+    assert again.come() == {"person": own}  # the same browser is recognised
+    for kind, fields in (("returned", {}), ("onward", {"stage": "consent"}), ("acted", {"action": "(fetch box-a)"})):
+        with pytest.raises(InapplicableError):
+            again.report(kind, **fields)
+    with pytest.raises(InapplicableError):
+        session.place(own)
+    new = Part(session, "dora")
+    new.come()
+    new.to("thanks")  # the study goes on
+    session.erase(own, "wrote a letter")  # and the row can be erased
+    assert own.encode() not in content(folder)
+    with pytest.raises(AbsentError):
+        session.person(own)
+    session.erase("ann", "wrote a letter, too")
+    assert [stone.label for stone in session.tombstones()] == ["(erased 1)", "(erased 2)"]
+
+
+def test_what_a_member_of_a_group_withdraws_is_gone_and_the_others_go_on(opened: Open) -> None:
+    session = opened(GROUPED)
+    parts = [Part(session, name) for name in ("ann", "P-EVE234", "cid")]
+    for part in parts:
+        part.come()
+        while part.stage != "waiting" and part.kind != "task":
+            if part.kind == "practice":
+                part.finish()
+            part.onward()
+    for part in parts:
+        part.errs()
+    eve, others = parts[1], (parts[0], parts[2])
+    views = {part.name: session.person(part.name) for part in others}
+    eve.report("withdrew")
+    after = {part.name: session.person(part.name) for part in others}
+    for name, view in after.items():
+        assert {**view, "seq": 0, "suggestion": None} == {**views[name], "seq": 0, "suggestion": None}
+    assert eve.kind == "withdrew"
+    records = [record for _, record in stored(session.folder / JOURNAL)[1]]
+    every = [sub["event"] for record in records for sub in record.get("team", ())]
+    assert {event["kind"] for event in every if event.get("person") == eve.name} <= {"vacant"}
+    session.close()
+    session = opened(GROUPED)
+    assert {part.name: session.person(part.name) for part in others} == after
+    assert session.person(eve.name)["study"]["stage"] == "task tiny"
+    for part in others:
+        Part(session, part.name).to("thanks")
+    (row,) = [row for row in tables(session.study, session.folder / JOURNAL).participants if row["status"] != "done"]
+    assert (row["participant"], row["status"], row["group"], row["stage"]) == (eve.name, "withdrew", "G1", "task tiny")
+
+
+def test_what_was_withdrawn_before_is_removed_when_the_study_goes_on(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Studies of earlier versions kept what was withdrawn; so does one whose process ends before the removal."""
+    with monkeypatch.context() as patch:
+        patch.setattr(Cohort, "withdrawn", lambda _: [])
+        session = opened()
+        eve, ann = (Part(session, name) for name in ("eve", "ann"))
+        for part in (eve, ann):
+            part.come()
+            answers(part)
+        eve.report("withdrew")
+        assert b"words of eve" in content(session.folder)
+        session.close()
+    session = opened()
+    assert b"words of eve" not in content(session.folder)
+    assert b"words of ann" in content(session.folder)
+
+
+@pytest.mark.parametrize("fails", ["UPDATE events", "COMMIT", "VACUUM", "PRAGMA wal_checkpoint"])
+def test_a_withdrawal_whose_data_cannot_be_removed_says_so_and_is_completed(
+    opened: Open, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    session = opened()
+    eve = Part(session, "eve")
+    eve.come()
+    answers(eve)
+    session.report_all([])
+    removing = [False]
+
+    def breaks(sql: str) -> bool:
+        removing[0] = removing[0] or sql.startswith("UPDATE events")
+        return removing[0] and sql.startswith(fails)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(session._store, "_db", Failing(session._store._db, breaks))
+        with pytest.raises(JournalError):
+            eve.report("withdrew", id="asked")
+        reasons = ("disk I/O error at the last attempt", "what a participant withdrew could not be removed yet")
+        assert session.fault() in reasons
+        with pytest.raises(JournalError):  # the page repeats its request
+            eve.report("withdrew", id="asked")
+    assert eve.report("withdrew", id="asked")["study"]["kind"] == "withdrew"
+    assert b"words of eve" not in content(session.folder)
+    assert session.fault() is None
+
+
+def test_what_could_not_be_removed_is_tried_again_with_later_events(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = opened()
+    eve, ann = (Part(session, name) for name in ("eve", "ann"))
+    for part in (eve, ann):
+        part.come()
+    answers(eve)
+    with monkeypatch.context() as patch:
+        patch.setattr(session._store, "_db", Failing(session._store._db, lambda sql: sql == "VACUUM"))
+        with pytest.raises(JournalError):
+            eve.report("withdrew")
+    ann.onward()  # too early for another attempt
+    assert session.fault() is not None
+    monkeypatch.setattr(session, "_tried", session._tried - 60)
+    ann.onward()
+    assert session.fault() is None
+    assert b"words of eve" not in content(session.folder)
+
+
+def withdraws(task: Table, folder: Path, says: Connection) -> None:
+    session = StudySession(read(folder / "study.toml"), {"tiny": task, "practice": task}, folder / "data")
+    says.send("ready")
+    Part(session, "eve").report("withdrew", id="asked")
+    says.send("withdrawn")
+
+
+@pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
+def test_who_kills_the_process_while_it_withdraws_loses_nothing_and_keeps_nothing(
+    opened: Open, tiny: Table, tmp_path: Path, kills: int
+) -> None:
+    """An acknowledged withdrawal is complete. Any other is complete when the study goes on, or has not happened."""
+    session, rng = opened(), random.Random(kills)
+    for name in ("eve", "ann"):
+        part = Part(session, name)
+        part.come()
+        answers(part)
+    before = of_others(session, "eve")
+    session.close()
+    for attempt in range(kills):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        shutil.copytree(tmp_path / "data", folder / "data")
+        written(folder / "study.toml", PLAN)
+        with forked(withdraws, tiny, folder) as hears:
+            assert hears.recv() == "ready"
+            time.sleep(0.3 * rng.random() ** 2)
+        try:
+            acknowledged = hears.recv() == "withdrawn"
+        except EOFError:
+            acknowledged = False
+        assert not acknowledged or b"words of eve" not in content(folder / "data")
+        again = StudySession(read(folder / "study.toml"), {"tiny": tiny, "practice": tiny}, folder / "data")
+        withdrew = again.person("eve")["study"]["kind"] == "withdrew"
+        assert withdrew or not acknowledged
+        assert (b"words of eve" in content(folder / "data")) != withdrew
+        assert of_others(again, "eve")[1:] == before[1:]
+        again.close()
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_who_withdraws_after_the_end_did_not_complete_the_study(opened: Open) -> None:
+    session = opened()
+    for name in ("ann", "eve", "cid"):
+        part = Part(session, name)
+        part.come()
+        answers(part)
+    Part(session, "eve").report("withdrew")
+    late = Part(session, "late")
+    late.come()
+    late.to("practice")
+    late.report("withdrew")
+    found = summarise(session.study, tables(session.study, session.folder / JOURNAL))
+    assert {name: found["participants"][name] for name in ("enrolled", "completed", "withdrew")} == {
+        "enrolled": 4, "completed": 2, "withdrew": 2,
+    }  # fmt: skip
+    flow = {row["stage"]: row for row in found["flow"]}
+    assert {row["reached"] for row in found["flow"]} == {2}
+    assert sum(row["withdrew"] for row in found["flow"]) == 2
+    assert flow["thanks"] == {"stage": "thanks", "reached": 2, "left": 0, "there": 0, "withdrew": 1}
+    assert flow["practice"]["withdrew"] == 1
+    assert sum(row["begun"] for row in found["conditions"]) == 3
+    assert sum(row["withdrew"] for row in found["conditions"]) == 1
+    assert sum(row["left"] for row in found["conditions"]) == 0
+    text = write_report(session.folder, session.folder / "elsewhere") and (session.folder / "elsewhere/report.md")
+    assert "| withdrew; their data are removed | 2 |" in text.read_text()
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize("how", ["withdraw", "erase"])
+def test_a_report_that_is_being_written_has_nothing_of_who_withdraws_meanwhile(
+    opened: Open, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """Another process has read the journal already, and writes its files after those of before were removed."""
+    session = opened()
+    for name in ("ann", "eve"):
+        part = Part(session, name)
+        part.come()
+        answers(part)
+        Part(session, name).report("excluded", reason=f"words about {name}")
+    calls = []
+
+    def late(*arguments: Any, **more: Any) -> str:
+        calls.append(arguments)
+        if len(calls) == 1:
+            Part(session, "eve").report("withdrew") if how == "withdraw" else session.erase("eve", "wrote a letter")
+        return html_page(*arguments, **more)
+
+    monkeypatch.setattr("assist.studies.reports.userstudy_report.html_page", late)
+    write_report(session.folder, session.folder / REPORT)
+    assert len(calls) == 2
+    assert b"words about ann" in content(session.folder / REPORT)
+    assert b"words about eve" not in content(session.folder)
+
+
+def test_a_flood_of_withdrawals_leaves_others_their_turn_and_all_are_removed(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each removal reads the whole journal; while others have their turn, a page is told to ask again."""
+    session, now = opened(), [100.0]
+    parts = [Part(session, f"P-{name}") for name in ("EVE234", "EVE235", "EVE236", "ANN234")]
+    for part in parts:
+        part.come()
+        answers(part)
+
+    def ticks() -> float:
+        now[0] += 4.0  # so that each removal is a long one
+        return now[0]
+
+    monkeypatch.setattr(session, "_clock", ticks)
+    outcomes = session.report_all([Withdrew(person=part.name, id="asked") for part in parts[:3]])
+    assert [isinstance(one, Refusal) for one in outcomes] == [False, True, True]
+    assert b"words of P-EVE234" not in content(session.folder)
+    assert session.fault() is not None
+    with pytest.raises(Refusal):  # others have their turn
+        parts[1].report("withdrew", id="asked")
+    assert parts[3].kind == "thanks"
+    for part in parts[1:3]:
+        now[0] += 600.0
+        part.report("withdrew", id="asked")
+        assert f"words of {part.name}".encode() not in content(session.folder)
+    assert session.fault() is None
+    assert b"words of P-ANN234" in content(session.folder)
+
+
+def test_withdrawals_that_wait_are_removed_when_the_study_is_opened(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, now = opened(), [100.0]
+    parts = [Part(session, f"P-EVE{n}") for n in range(234, 238)]
+    for part in parts:
+        part.come()
+        answers(part)
+    monkeypatch.setattr(session, "_clock", lambda: now.append(now[-1] + 4.0) or now[-1])
+    session.report_all([Withdrew(person=part.name) for part in parts])
+    assert b"words of P-EVE237" in content(session.folder)
+    session.close()
+    monkeypatch.setattr("assist.studies.userstudy.session.LONG", -1.0)
+    session = opened()
+    assert b"words of P-EVE" not in content(session.folder)

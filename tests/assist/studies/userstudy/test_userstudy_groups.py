@@ -1,0 +1,393 @@
+"""User studies in which several participants share one robot: they wait for each other, and are analysed as groups."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import KITTING
+from scipy import stats
+from serving import served
+from test_live_pages import CHROMIUM, chromium, violations
+from userstudies import PLAN, Open, Part, opened, written
+
+from assist.declare import Catalogue, InapplicableError, catalogue, languages
+from assist.studies.reports.userstudy_report import report_text
+from assist.studies.reports.userstudy_summary import measures, summarise
+from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import JOURNAL, StudySession
+from assist.studies.userstudy.tables import tables
+from planner.system.errors import InputFileError
+
+__all__ = ["chromium", "opened"]
+GROUPS = (
+    PLAN.replace("simulated = 2\n", "")
+    .replace("[setting]", "[group]\nsize = 3\nwait = 5\n\n[setting]")
+    .replace('name = "none"\npolicy = "none"', 'name = "none"\npolicy = "attention"')
+)
+WITHIN = GROUPS.replace("seed = 3", 'seed = 3\ndesign = "within"')
+EAGER = GROUPS.replace("wait = 5", 'wait = 5\nthen = "start"')
+
+
+def waiting(session: StudySession, *names: str) -> list[Part]:
+    """Return participants who have come to the waiting page, or whose group began when they came."""
+    parts = [Part(session, name) for name in names]
+    for part in parts:
+        part.come()
+        part.to("practice")
+        part.finish()
+        part.onward()
+    return parts
+
+
+def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> None:
+    session = opened(GROUPS)
+    ann, bob = waiting(session, "ann", "bob")
+    assert session.person("ann")["study"]["waiting"] == {"here": 2, "of": 3}
+    assert session.person("ann")["seq"] == session.person("bob")["seq"]  # the page shows who came
+    with pytest.raises(InapplicableError, match="the task begins when the group is complete"):
+        ann.onward()
+    bob.report("left")
+    assert session.person("ann")["study"]["waiting"] == {"here": 1, "of": 3}
+    changed: set[str] = set()
+    session.changed = changed.update
+    (cyd,) = waiting(session, "cyd")
+    assert ann.stage == "waiting"
+    changed.clear()
+    bob.report("returned")
+    assert {part.stage for part in (ann, bob, cyd)} == {"task tiny"}
+    assert changed == {"ann", "bob", "cyd"}
+    who = session.cohort.participants
+    assert len({who[name].condition for name in who}) == 1
+    assert session.cohort.by_condition()[who["ann"].condition or ""] == 1  # a group, not three people
+    told = set()
+    for _ in range(3):
+        for part in (ann, bob, cyd):
+            part.errs()
+            asked = [name for name in who if session.person(name)["suggestion"] is not None]
+            told |= set(asked)
+    assert told == {"ann", "bob", "cyd"}  # the robot attends to one after the other
+    (group,) = session.cohort.groups.begun.values()
+    assert {advice.person for advice in group.teams[1].team.advices} <= {"ann", "bob", "cyd", None}
+    assert all(session.person(name)["steps"] == 3 for name in who)
+
+
+@pytest.mark.parametrize("goes", ["left", "withdrew", "expired"])
+def test_a_member_who_leaves_does_not_stop_the_others(opened: Open, goes: str) -> None:
+    session = opened(GROUPS)
+    ann, bob, cyd = waiting(session, "ann", "bob", "cyd")
+    bob.errs()
+    bob.report(goes)
+    for part in (ann, cyd):
+        for _ in range(2):
+            part.errs()
+            assert session.cohort.groups.begun["G1"].teams[1].team.advices[0].person in (ann.name, cyd.name, None)
+        part.finish()
+    views = {part.name: session.person(part.name) for part in (ann, bob, cyd)}
+    session.close()
+    again = opened(GROUPS)
+    assert {name: again.person(name) for name in views} == views
+    bob, ann = Part(again, "bob"), Part(again, "ann")
+    if goes == "left":
+        bob.report("returned")
+        assert again.person("bob")["steps"] == 1
+        bob.finish()
+    if goes != "withdrew":
+        bob.to("thanks")
+    ann.to("thanks")
+    found = tables(again.study, again.folder / JOURNAL)
+    assert {row["group"] for row in found.participants} == {"G1"}
+    assert {row["participant"]: row["finished"] for row in found.tasks}["ann"]
+
+
+def test_nobody_comes_in_time(opened: Open) -> None:
+    session = opened(GROUPS)
+    (ann,) = waiting(session, "ann")
+    ann.report("expired")
+    seen = session.person("ann")["study"]
+    assert (seen["kind"], len(seen["completion"])) == ("unmatched", 8)
+    bob, cyd = waiting(session, "bob", "cyd")
+    assert bob.stage == cyd.stage == "waiting"  # ann no longer counts
+    found = tables(session.study, session.folder / JOURNAL)
+    (row,) = (row for row in found.participants if row["participant"] == "ann")
+    assert (row["status"], row["group"], row["completion_code"]) == ("unmatched", None, seen["completion"])
+    ann.report("withdrew")
+    assert ann.kind == "withdrew"
+
+
+def test_after_the_time_a_smaller_group_may_start(opened: Open) -> None:
+    session = opened(EAGER)
+    ann, bob = waiting(session, "ann", "bob")
+    ann.report("expired")
+    assert ann.stage == bob.stage == "task tiny"
+    assert not session.person("ann")["study"]["over"]
+    for part in (ann, bob):
+        part.to("thanks")
+    (cyd,) = waiting(session, "cyd")
+    assert cyd.stage == "waiting"
+    cyd.report("expired")
+    assert cyd.stage == "task tiny"  # alone
+    cyd.errs()
+    assert session.cohort.groups.begun["G2"].teams[1].team.advices[0].person in ("cyd", None)
+    before = {name: session.person(name) for name in ("ann", "bob", "cyd")}
+    session.close()
+    again = opened(EAGER)
+    assert {name: again.person(name) for name in before} == before
+    found = summarise(again.study, tables(again.study, again.folder / JOURNAL))
+    assert found["groups"] == {"size": 3, "began": 2, "smaller": 2, "unmatched": 0}
+
+
+def test_after_the_time_one_may_go_on_alone_while_the_others_wait(opened: Open) -> None:
+    lonely = EAGER.replace('"start"', '"alone"')
+    session = opened(lonely)
+    ann, bob = waiting(session, "ann", "bob")
+    ann.report("expired")
+    assert (ann.stage, bob.stage) == ("task tiny", "waiting")
+    assert session.person("bob")["study"]["waiting"] == {"here": 1, "of": 3}
+    ann.errs()
+    assert session.cohort.groups.begun["G1"].members == ("ann",)
+    waiting(session, "cyd", "dan")
+    assert session.cohort.groups.begun["G2"].members == ("bob", "cyd", "dan")  # who waits on can still find a group
+    before = {name: session.person(name) for name in ("ann", "bob", "cyd", "dan")}
+    session.close()
+    again = opened(lonely)
+    assert {name: again.person(name) for name in before} == before
+    found = summarise(again.study, tables(again.study, again.folder / JOURNAL))
+    assert found["groups"] == {"size": 3, "began": 2, "smaller": 1, "unmatched": 0}
+
+
+@pytest.mark.parametrize("erased", ["ann", "cyd"])  # the first to come; and the last, whose event began the group
+def test_a_member_is_erased_and_the_others_are_as_before(opened: Open, erased: str) -> None:
+    session = opened(GROUPS)
+    parts = waiting(session, "ann", "bob", "cyd")
+    for _ in range(3):
+        for part in parts:
+            part.errs()
+    stay = [part for part in parts if part.name != erased]
+    stay[0].finish()
+    Part(session, erased).report("withdrew")  # after this, erasing changes no view
+    views = {part.name: session.person(part.name) for part in stay}
+    beliefs = session.cohort.beliefs()
+    session.erase(erased, "asked for it")
+    assert {part.name: session.person(part.name) for part in stay} == views
+    assert {name: session.cohort.beliefs()[name] for name in views} == {name: beliefs[name] for name in views}
+    session.close()
+    again = opened(GROUPS)
+    assert {part.name: again.person(part.name) for part in stay} == views
+    assert not any(erased.encode() in file.read_bytes() for file in again.folder.glob("journal*"))
+    Part(again, stay[1].name).finish()
+    found = tables(again.study, again.folder / JOURNAL)
+    assert {row["participant"] for row in found.tasks} == {part.name for part in stay}
+    assert sorted(row["group"] for row in found.participants) == ["G1"] * 3
+
+
+def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
+    session = opened(GROUPS.replace("size = 3", "size = 2"))
+    for number in range(6):
+        pair = waiting(session, f"a{number}", f"b{number}")
+        for _ in range(number + 1):
+            pair[0].errs()
+        for part in pair:
+            part.to("thanks")
+    study, found = session.study, tables(session.study, session.folder / JOURNAL)
+    actions = {row["participant"]: row["actions"] for row in found.tasks}
+    (measure,) = (one for one in measures(study, found) if one.name == "actions")
+    who = session.cohort.participants
+    for number in range(6):
+        own = measure.values[who[f"a{number}"].condition or ""]
+        assert own[who[f"a{number}"].group or ""] == (actions[f"a{number}"] + actions[f"b{number}"]) / 2
+    summary = summarise(study, found) | {"preregistration": None}
+    (row,) = (one for one in summary["measures"] if one["measure"] == "actions")
+    assert [cell["n"] for cell in row["cells"]] == [3, 3]
+    values = [list(own.values()) for own in measure.values.values()]
+    assert row["differences"][0]["p"] == pytest.approx(stats.ttest_ind(*values, equal_var=False).pvalue)
+    text = report_text(study, summary, {})
+    assert "**The unit of analysis is the group**" in text
+    assert "Groups: none 3, attention 3." in text
+
+
+def test_within_participants_a_group_waits_again_and_has_another_robot(opened: Open) -> None:
+    session = opened(WITHIN)
+    parts = ann, bob, cyd = waiting(session, "ann", "bob", "cyd")
+    who = session.cohort.participants
+    assert {part.stage for part in parts} == {"task tiny 1"}
+    order = session.study.orders[who["ann"].condition or ""]
+    assert session.cohort.by_condition()[" > ".join(order)] == 1
+    for part in parts:
+        part.errs()
+    ann.to("waiting 2")
+    assert session.person("ann")["study"]["waiting"] == {"here": 1, "of": 3}
+    bob.to("waiting 2")
+    assert not session.cohort.groups.is_complete(who["ann"])
+    cyd.report("left")
+    assert session.person("ann")["study"]["waiting"] == {"here": 2, "of": 2}
+    assert session.cohort.groups.is_complete(who["ann"])
+    ann.report("expired")  # which ends nobody's study here
+    assert (ann.stage, bob.stage, cyd.stage) == ("task tiny 2", "task tiny 2", "task tiny 1")
+    ann.errs()
+    views = [session.person(part.name) for part in parts]
+    session.close()
+    session = opened(WITHIN)
+    assert [session.person(part.name) for part in parts] == views
+    parts = ann, bob, cyd = [Part(session, name) for name in ("ann", "bob", "cyd")]
+    cyd.report("returned")
+    assert session.person("cyd")["steps"] == 1
+    cyd.to("task tiny 2")  # the others have begun, so that there is nobody to wait for
+    (group,) = session.cohort.groups.begun.values()
+    assert set(group.teams[2].team.people) == {"ann", "bob", "cyd"}
+    assert group.teams[1].team is not group.teams[2].team
+    for part in parts:
+        part.to("thanks")
+    found = tables(session.study, session.folder / JOURNAL)
+    rows = {(row["participant"], row["period"], row["condition"], row["finished"]) for row in found.tasks}
+    assert rows == {(part.name, period, order[period - 1], True) for part in parts for period in (1, 2)}
+    assert {row["group"] for row in found.participants} == {"G1"}
+    bob.report("withdrew")
+    views, beliefs = [session.person(part.name) for part in (ann, cyd)], session.cohort.beliefs()
+    session.erase("bob", "asked for it")
+    for _ in range(2):
+        assert [session.person(part.name) for part in (ann, cyd)] == views
+        assert all(session.cohort.beliefs()[name] == beliefs[name] for name in ("ann", "cyd"))
+        session.close()
+        session = opened(WITHIN)
+    assert not any(b"bob" in file.read_bytes() for file in session.folder.glob("journal*"))
+    rows = {(row["participant"], row["period"]) for row in tables(session.study, session.folder / JOURNAL).tasks}
+    assert rows == {(name, period) for name in ("ann", "cyd") for period in (1, 2)}
+
+
+def test_within_participants_the_differences_are_those_of_groups(opened: Open) -> None:
+    session = opened(WITHIN.replace("size = 3", "size = 2"))
+    for number in range(4):
+        pair = waiting(session, f"a{number}", f"b{number}")
+        for _ in range(1 + number % 3):
+            pair[number % 2].errs()
+        for part, stage in zip(pair, ("waiting 2", "task tiny 2"), strict=True):
+            part.to(stage)
+        for part in pair:
+            part.to("thanks")
+    study, found = session.study, tables(session.study, session.folder / JOURNAL)
+    actions: dict[tuple[str, str], list[int]] = {}
+    groups = {row["participant"]: row["group"] for row in found.participants}
+    for row in found.tasks:
+        actions.setdefault((groups[row["participant"]], row["condition"]), []).append(row["actions"])
+    means = [[sum(actions[f"G{n}", name]) / 2 for n in range(1, 5)] for name in ("attention", "none")]
+    (row,) = (one for one in summarise(study, found)["measures"] if one["measure"] == "actions")
+    (difference,) = row["differences"]
+    assert difference["mean"] == pytest.approx(sum(means[0]) / 4 - sum(means[1]) / 4)
+    # Each order is equally frequent, and the test compares the differences, second minus first, of the two orders.
+    first = {groups[row["participant"]]: row["condition"] for row in found.tasks if row["period"] == 1}
+    pairs = {f"G{n}": one - other for n, (one, other) in enumerate(zip(*means, strict=True), start=1)}
+    ordered = [[pairs[group] * sign for group in first if first[group] == name] for name, sign in
+               (("attention", -1), ("none", 1))]  # fmt: skip
+    assert difference["p"] == pytest.approx(stats.ttest_ind(*ordered).pvalue)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "message"),
+    [
+        ("size = 3", "size = 1", "group.size: 1; expected a whole number from 2 to 20"),
+        (
+            "wait = 5",
+            'then = "later"',
+            'group.then: "later"; expected "end" or "alone" or "start"',
+        ),
+        ("seed = 3", "seed = 3\nsimulated = 1", "simulated: 1; expected 0 in a study with groups"),
+        ("seed = 3", "seed = 3\nparticipants = 4", "participants: 4; expected a multiple of 3"),
+    ],
+)
+def test_a_group_that_cannot_be_is_refused(tmp_path: Path, right: str, wrong: str, message: str) -> None:
+    with pytest.raises(InputFileError) as refused:
+        read(written(tmp_path / "study.toml", GROUPS.replace(right, wrong, 1)))
+    assert message in str(refused.value)
+
+
+def spoken(language: str) -> str:
+    return GROUPS.replace("seed = 3", f'seed = 3\nlanguage = "{language}"')
+
+
+def begins(page: Any, said: Catalogue) -> None:
+    """Consent and read the instructions."""
+    page.click(f"text={said('study.agree')}")
+    page.click(f'h2:text("{said("study.instructions")}") ~ form >> button')
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+@pytest.mark.slow
+@pytest.mark.parametrize("language", languages())
+def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path: Path, language: str) -> None:
+    said = catalogue(language)
+    text = spoken(language).replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("wait = 5", "wait = 0.02")
+    context = chromium.new_context(viewport={"width": 360, "height": 740})
+    page = context.new_page()
+    page.set_default_timeout(60_000)
+    with served("--study", written(tmp_path / "study.toml", text), "--data", tmp_path / "data", instance=None) as study:
+        page.goto(study.links["everybody"])
+        begins(page, said)
+        page.wait_for_selector(f'h2:text("{said("study.unmatched")}")')
+        assert page.get_attribute("html", "lang") == language
+        assert len(page.input_value("#code")) == 8
+        other = context.new_page()  # of the same browser: somebody else may begin
+        other.goto(study.links["everybody"])
+        other.wait_for_selector(f'button:text("{said("study.begin_next")}")')
+        other.close()
+        page.wait_for_selector("#withdrawal")
+        assert violations(page, dark=False) == []
+        page.click("#leave-button")
+        page.click("#leave-now")
+        page.wait_for_selector(f'h2:text("{said("study.left")}")')
+    context.close()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+@pytest.mark.slow
+def test_three_people_in_three_browsers_share_one_robot(chromium: Any, tmp_path: Path) -> None:
+    """In German, as the pages of those who wait are seen in English above."""
+    said = catalogue("de")
+    text = spoken("de").replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("seed = 3", "seed = 3\ntick = 0.5")
+    faults: list[str] = []
+    with served("--study", written(tmp_path / "study.toml", text), "--data", tmp_path / "data", instance=None) as study:
+        contexts = [chromium.new_context(viewport={"width": 360, "height": 740}) for _ in range(3)]
+        pages = [context.new_page() for context in contexts]
+        for number, page in enumerate(pages, start=1):
+            page.set_default_timeout(60_000)
+            page.on("pageerror", lambda error: faults.append(str(error)))
+            page.goto(study.links["everybody"])
+            begins(page, said)
+            if number < 3:
+                page.wait_for_selector(f'h2:text("{said("study.waiting")}")')
+                page.wait_for_selector(f'#progress-word:text("{said("study.here", here=str(number), all="3")}")')
+        pages[0].wait_for_selector(f'h1:text("{said("task.title")}")')
+        told = set()
+        for round_ in range(30):
+            for number, page in enumerate(pages):
+                page.wait_for_selector("#actions button:not([disabled])")
+                if page.is_visible("#offer"):
+                    told.add(number)
+                steps = int(page.inner_text("#steps"))
+                wrong = "fetch", "return"  # in turn, which leads nowhere
+                page.click(f'#actions button[data-action^="({wrong[round_ % 2]}"]:not([disabled]) >> nth=0')
+                page.wait_for_function(f"() => document.getElementById('steps').textContent === '{steps + 1}'")
+            if len(told) == 3:
+                break
+        assert told == {0, 1, 2}
+        pages[1].click('#leave:not([hidden]) a[href*="?leave"]')
+        pages[1].click("#leave-now")
+        pages[1].wait_for_selector(f'h2:text("{said("study.left")}")')
+        steps = int(pages[2].inner_text("#steps"))
+        pages[2].locator("#actions button:not([disabled])").nth(0).click()
+        pages[2].wait_for_function(f"() => document.getElementById('steps').textContent === '{steps + 1}'")
+        pages[0].goto(study.operator)
+        pages[0].wait_for_selector('#people td:text("(G1)")')
+        assert pages[0].locator('#people td:text("(G1)")').count() == 3
+        late = contexts[1].new_page()
+        late.goto(study.links["everybody"])
+        late.click(f'button:text("{said("study.begin_next")}")')
+        begins(late, said)
+        late.wait_for_selector(f'#progress-word:text("{said("study.here", here="1", all="3")}")')
+        assert violations(late) == []
+        late.screenshot(path=str(tmp_path / "waiting.png"))
+    assert faults == []
+    for context in contexts:
+        context.close()
