@@ -52,7 +52,8 @@ ROOMS = {
         truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.certify.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
-    "assist.learning": """method statistics log_steps log_json log_files log comparison intervals advice_log
+    "assist.learning": """method statistics repeated_measures log_steps log_json log_files log comparison intervals
+        advice_log
         advice_rules advice_model advice_fit replay observations joint_states evidence neighbours_in_logs likelihood
         choosing likelihood_table likelihood_arrays first_estimates person_estimate profiles maximum_likelihood
         logit_likelihood hierarchy misconception_fit
@@ -67,7 +68,7 @@ ROOMS = {
     "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
         participant_team participants groups places teams events record roll cohort session tables export
         forecast""",
-    "assist.studies.reports": """watched_episode policy_comparison repeated_measures wording
+    "assist.studies.reports": """watched_episode policy_comparison wording
         report_files study_summary study_claims study_figures study_report userstudy_summary
         preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures schemas watchers service authorization request_limits

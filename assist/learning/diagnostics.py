@@ -23,6 +23,7 @@ from planner.system.results import Result
 
 from ..people.decision import Floats
 from .person_estimate import CHECKED, UNCHECKED, Check, PersonEstimate, people_of
+from .statistics import wilson
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,8 +62,6 @@ def calibrate(people: Mapping[str, PersonEstimate] | Iterable[PersonEstimate], b
     bins : int
         Number of bins of predicted probabilities.
     """
-    from scipy.stats import binomtest  # takes as long to import as everything else here together
-
     fits = people_of(people)
     p = np.concatenate([f.probabilities()[f.observations.applicable] for f in fits])
     hit = np.concatenate(
@@ -77,10 +76,7 @@ def calibrate(people: Mapping[str, PersonEstimate] | Iterable[PersonEstimate], b
     count = count[kept]
     predicted = np.bincount(number, p, bins)[kept] / count
     observed = np.bincount(number, hit, bins)[kept] / count
-    intervals = [
-        binomtest(round(share * n), int(n)).proportion_ci(method="wilson")
-        for share, n in zip(observed, count, strict=True)
-    ]
+    intervals = [wilson(round(share * n), int(n)) for share, n in zip(observed, count, strict=True)]
     low, high = np.array([(interval.low, interval.high) for interval in intervals]).T
     return Calibration(predicted, observed, low, high, count)
 

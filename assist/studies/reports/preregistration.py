@@ -23,16 +23,16 @@ from ..userstudy.session import JOURNAL
 from ..userstudy.tables import Tables
 
 ANALYSIS = (
-    "userstudy/plan.py", "userstudy/questionnaires.py", "userstudy/outcomes.py", "userstudy/tables.py",
-    "learning/statistics.py",
-    "reports/repeated_measures.py", "reports/userstudy_summary.py",
+    "learning/statistics.py", "learning/repeated_measures.py",
+    *(f"studies/userstudy/{name}.py" for name in ("plan", "questionnaires", "outcomes", "tables")),
+    "studies/reports/userstudy_summary.py",
 )  # fmt: skip
 """Files of the package on which the numbers of a report depend."""
 
 
 def analysis_digests() -> dict[str, str]:
     """Return the SHA-256 digest of each file of the analysis."""
-    package = Path(__file__).parents[1]
+    package = Path(__file__).parents[2]
     return {name: hashlib.sha256((package / name).read_bytes()).hexdigest() for name in ANALYSIS}
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.system.files import finite
 
+from ...learning.repeated_measures import detectable_within, means_within, mixed_model, within_participants
 from ...learning.statistics import (
     FEW,
     NONE,
@@ -39,7 +40,6 @@ from ..userstudy.outcomes import COMPLETION, COUNTED, Outcome, Row
 from ..userstudy.plan import UserStudy
 from ..userstudy.questionnaires import BEFORE, CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX, Item, Questionnaire
 from ..userstudy.tables import Tables
-from .repeated_measures import detectable_within, means_within, mixed_model, within_participants
 
 ALL = "all participants"
 """Stands for the condition where answers do not belong to one."""

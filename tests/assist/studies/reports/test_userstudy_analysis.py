@@ -21,6 +21,7 @@ from userstudies import PLAN, SCORES, written
 
 from assist.cli import main
 from assist.cli.user_study import _report
+from assist.learning.repeated_measures import means_within, mixed_model, within_participants
 from assist.learning.statistics import (
     EXACT,
     between_groups,
@@ -33,7 +34,6 @@ from assist.learning.statistics import (
     signed_rank,
 )
 from assist.studies.reports.preregistration import REGISTERED
-from assist.studies.reports.repeated_measures import means_within, mixed_model, within_participants
 from assist.studies.reports.userstudy_report import of_folder, write_report
 from assist.studies.reports.userstudy_summary import _adjusted, _measure, measures, summarise
 from assist.studies.userstudy.outcomes import OUTCOMES

@@ -28,9 +28,9 @@ from userstudies import PLAN, written
 
 from assist.cli import main
 from assist.declare import catalogue
+from assist.learning.repeated_measures import detectable_within, within_participants
 from assist.learning.statistics import between_groups, cronbach_alpha, detectable
 from assist.studies.reports import study_report, userstudy_report
-from assist.studies.reports.repeated_measures import detectable_within, within_participants
 from assist.studies.userstudy.tables import COLUMNS
 from assist.studies.userstudy.tables import written as written_rows
 from assist.web.user_study import rehearsal, server

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize, stats
+from scipy import optimize
 
-from ...learning.statistics import Comparison, IntervalEstimate, detectable, standardised
+from .statistics import Comparison, IntervalEstimate, detectable, standardised
 
 Floats = NDArray[np.floating[Any]]
 Values = Mapping[str, Mapping[str, float]]
@@ -87,13 +87,15 @@ def means_within(values: Values, level: float = 0.95) -> dict[str, IntervalEstim
     shown = {name: own for name, own in values.items() if own}
     everywhere = [who for who in next(iter(shown.values()), {}) if all(who in own for own in shown.values())]
     n, conditions = len(everywhere), len(shown)
-    halves = np.full(conditions, np.nan)
+    errors = np.full(conditions, np.nan)
     if n > 1 and conditions > 1:
         x = np.array([[own[who] for who in everywhere] for own in shown.values()])
         deviation = (x - x.mean(axis=0)).std(axis=1, ddof=1) * np.sqrt(conditions / (conditions - 1))
-        halves = stats.t.ppf((1 + level) / 2, n - 1) * deviation / np.sqrt(n)
-    found = zip(shown, (fmean(own.values()) for own in shown.values()), halves.tolist(), strict=True)
-    return {name: IntervalEstimate(value, value - half, value + half) for name, value, half in found}
+        errors = deviation / np.sqrt(n)
+    return {
+        name: IntervalEstimate.of(fmean(own.values()), error, n - 1, level)
+        for (name, own), error in zip(shown.items(), errors.tolist(), strict=True)
+    }
 
 
 def mixed_model(
@@ -159,6 +161,5 @@ def mixed_model(
     found = np.linalg.solve(triangle[:columns, :columns], triangle[:columns, columns])
     inverse = np.linalg.inv(triangle[:columns, :columns])
     errors = np.sqrt(left / (len(outcome) - columns) * (inverse**2).sum(axis=1))
-    half = stats.t.ppf((1 + level) / 2, freedom) * errors
-    ends = zip(found.tolist(), (found - half).tolist(), (found + half).tolist(), strict=True)
-    return {name: IntervalEstimate(*one) for name, one in zip(others, ends, strict=False)}
+    estimates = zip(others, found.tolist(), errors.tolist(), strict=False)
+    return {name: IntervalEstimate.of(value, error, freedom, level) for name, value, error in estimates}
