@@ -23,7 +23,6 @@ from .grounding.task import Effect as Effect
 from .grounding.task import Operator as Operator
 from .grounding.task import Task as Task
 from .grounding.task import Variable as Variable
-from .pddl.instance_finder import InstanceError as InstanceError
 from .pddl.instance_finder import find_instances as find_instances
 from .pddl.instance_finder import instance as instance
 from .pddl.instances import Instance as Instance

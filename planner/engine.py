@@ -45,7 +45,7 @@ from .pddl.built_problems import SUPPORTED, Written, is_temporal, written
 from .pddl.compilation import NO_SEQUENTIAL_PLAN
 from .pddl.instances import PDDLError
 from .pddl.plan_execution import execute
-from .pddl.validation import InvalidPlanError
+from .system.errors import MismatchError
 from .system.limits import CostLimitError, LimitError, Limits, MemoryLimitError
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ class Engine(engines.Engine, OneshotPlannerMixin):
             return self._without(Status.UNSUPPORTED_PROBLEM, error)
         except LimitError as error:
             return self._without(Status.TIMEOUT, error)
-        except (FastDownwardError, InvalidPlanError, OSError) as error:
+        except (FastDownwardError, MismatchError, OSError) as error:
             return self._without(Status.INTERNAL_ERROR, error)
         notes = [task.note] if task.note else []
         if words is None:

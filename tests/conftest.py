@@ -40,7 +40,7 @@ from planner import Instance, Limits, Table, find_instances, load, sweep
 from planner.grounding import fast_downward
 from planner.pddl import reader, writer
 from planner.pddl.instances import PDDLError
-from planner.pddl.validation import InstanceRefusedError, parsed
+from planner.pddl.validation import parsed
 from planner.system import progress
 from planner.system.limits import NO_LIMITS
 
@@ -293,10 +293,10 @@ def one_name_for_two(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def understood(instance: Instance) -> Any:
     """Return an instance as a problem of unified-planning."""
     reading = reader.read(instance)
-    try:
-        return parsed(writer.domain(reading, list_object=True), writer.problem(reading))
-    except InstanceRefusedError as error:
-        raise PDDLError(instance.problem, None, f"unified-planning: {error}") from None
+    problem, why = parsed(writer.domain(reading, list_object=True), writer.problem(reading))
+    if why is not None:
+        raise PDDLError(instance.problem, None, f"unified-planning: {why}")
+    return problem
 
 
 def write_instance(folder: Path, domain: str, problem: str) -> Instance:

@@ -92,13 +92,10 @@ def without_processes() -> None:
             self._asked = plan
 
         def answer(self, seconds: float) -> Any:  # noqa: ARG002
-            try:
-                problem = parsed(*self._texts)
-                if self._asked is not None:
-                    validation.validate(problem, self._asked)
-            except validation.InstanceRefusedError as error:
-                return str(error)
-            return None
+            problem, why = parsed(*self._texts)
+            if problem is not None and self._asked is not None:
+                validation.validate(problem, self._asked)
+            return why
 
     planner.batch.solve_batch.outcomes = assist.studies.runner.outcomes = here
     assist.studies.reports.study_report._draw_all = lambda *_: None

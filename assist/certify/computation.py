@@ -43,14 +43,11 @@ class InterruptedBound(KeyboardInterrupt):
         whose problems have not been bounded.
     bounded, people : int
         Number of people whose problems have been bounded, and of all people.
-    exit_code : int
-        As in the interrupt.
     """
 
     def __init__(self, upper: float, bounded: int, people: int, interrupt: KeyboardInterrupt) -> None:
         super().__init__(*interrupt.args)
         self.upper, self.bounded, self.people = upper, bounded, people
-        self.exit_code: int = getattr(interrupt, "exit_code", 130)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner.system.errors import InputFileError, ResultsExistError
+from planner.system.errors import InputFileError
 
 from ..declare.options import Given
 from .options.common import INPUT_FILE
@@ -83,7 +83,7 @@ def serve(
         )
         try:
             session = plan.session()
-        except (ResultsExistError, InputFileError):
+        except InputFileError:
             raise
         except ValueError as error:
             raise click.UsageError(str(error)) from None

@@ -38,7 +38,7 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
     policy that hardly suggests anything in simulated
     episodes is named on stderr.
     """
-    from planner.system.errors import InputFileError, ResultsExistError
+    from planner.system.errors import InputFileError
 
     from ..studies.reports.preregistration import register
     from ..studies.userstudy.plan_file import read
@@ -59,7 +59,7 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
                 else record
             )
             return
-    except (InputFileError, ResultsExistError) as error:
+    except InputFileError as error:
         fail(str(error), ExitCode.USAGE)
     if data is None:
         raise click.UsageError("--links: expected --data DIR as well, the folder of the study")

@@ -49,8 +49,15 @@ class Refusal(ValueError):  # noqa: N818 the family; its members are errors
         self.key, self.values = key, values
         self.status = next((status for status, keys in STATUS.items() if key in keys), self.usual)
 
+    @classmethod
+    def answered(cls, status: int, why: str) -> Refusal:
+        """Return the refusal that a service answered, from its status and its sentence."""
+        found = {kind.usual: kind for kind in cls.__subclasses__()}.get(status, cls)("other", why=why)
+        found.status = status
+        return found
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (type(self), self.key, self.values)
+        return _again, (type(self), self.key, self.values, self.status)
 
 
 class AbsentError(Refusal):
@@ -65,5 +72,7 @@ class InapplicableError(Refusal):
     usual = 409
 
 
-def _again(kind: type[Refusal], key: str, values: dict[str, Any]) -> Refusal:
-    return kind(key, **values)
+def _again(kind: type[Refusal], key: str, values: dict[str, Any], status: int) -> Refusal:
+    found = kind(key, **values)
+    found.status = status
+    return found

@@ -10,7 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from planner.grounding.semantics import derived
-from planner.pddl.instances import Expression, UnbalancedError, nested
+from planner.pddl.instances import Expression, PDDLError, nested
 from planner.system.errors import InputFileError
 
 from .subject import Atom, Subject, atom, is_number
@@ -129,9 +129,9 @@ def _facts(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
         return
     try:
         whole = re.match(r"(\s|;[^\n]*(\n|$))*\(\s*define\b", text) is not None
-        found = nested(text) if whole else nested(f"({text}\n)")
-    except UnbalancedError as error:
-        raise InputFileError(f"{file}:{error.line}: {str(error).replace('(define ...)', 'a fact')}") from None
+        found = nested(file, text if whole else f"({text}\n)")
+    except PDDLError as error:
+        raise InputFileError(f"{file}:{error.line}: {error.message.replace('(define ...)', 'a fact')}") from None
     inner = found.section(":init")
     if whole and inner is None:
         raise InputFileError(f"{file}: there is no (:init ...)")
@@ -183,7 +183,7 @@ def _listed(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
         at = max(at, text.find(json.dumps(fact, ensure_ascii=False), at))
         line = text.count("\n", 0, at) + 1
         try:
-            parts = nested(f"({fact})").parts
-        except UnbalancedError:
+            parts = nested(file, f"({fact})").parts
+        except PDDLError:
             raise InputFileError(f"{file}:{line}: {fact}; expected a fact, (predicate argument ...)") from None
         yield from ((line, one) for _, one in _atoms(file, parts))

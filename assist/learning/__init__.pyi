@@ -22,7 +22,6 @@ from .likelihood_table import log_likelihood as log_likelihood
 from .log import Entry as Entry
 from .log import Fault as Fault
 from .log import Log as Log
-from .log import LogError as LogError
 from .log import read_log as read_log
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
 from .misconception_fit import fit_misconception as fit_misconception

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.arrays import read_only
+from planner.system.errors import InputFileError
 from planner.system.limits import Deadline
 from planner.system.results import Result
 
 from ..people.decision import Floats
-from .log import LogError
 from .statistics import Comparison as Tested
 from .statistics import IntervalEstimate, holm, ratio
 
@@ -241,7 +241,7 @@ def folds_of(people: int, folds: int) -> NDArray[np.int64]:
 
     Raises
     ------
-    LogError
+    InputFileError
         There are fewer than two people.
     ValueError
         There are fewer than two folds.
@@ -249,5 +249,5 @@ def folds_of(people: int, folds: int) -> NDArray[np.int64]:
     if folds < 2:
         raise ValueError(f"folds {folds}: expected 2 or more")
     if people < 2:
-        raise LogError("one person; a comparison needs two or more, to learn from some about others")
+        raise InputFileError("one person; a comparison needs two or more, to learn from some about others")
     return np.arange(people) % min(folds, people)

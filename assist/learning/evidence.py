@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo, TransitionSystem, known_costs
 from planner.system.arrays import read_only
-from planner.system.errors import expected
+from planner.system.errors import InputFileError, expected
 from planner.system.results import ByContent
 
 from ..declare.declared import sentences
@@ -27,7 +27,7 @@ from ..people.decision import Floats
 from ..people.goals import prior_over
 from ..people.terms import Term, features
 from .joint_states import JointStates, looked_up
-from .log import Fault, Log, LogError, log_of
+from .log import Fault, Log, log_of
 from .method import Method
 from .observations import EvaluatedStates, Ints, Observations, UnknownGoals, observe
 from .replay import Recording, replay, situation
@@ -149,7 +149,7 @@ def replayed(
 
     Raises
     ------
-    LogError
+    InputFileError
         No part of the log can be used or, with `strict`, some part cannot.
     TypeError
         `task` is no task, or `log` is no log.
@@ -177,7 +177,7 @@ def replayed(
     if faults and tell is not None:
         tell(log, faults)
     elif strict and faults:
-        raise LogError(f"{log.name}:{faults[0].line}: {faults[0]}")
+        raise InputFileError(f"{log.name}:{faults[0].line}: {faults[0]}")
     elif faults:
         warned(log, faults)
     require_actions(log, recording, states)
@@ -192,9 +192,9 @@ def replayed(
     unknown = np.isnan([one.h for one in known]).any(axis=0)
     recording, left_out = recording.evaluated(np.where(unknown, np.nan, 0.0))
     if not len(recording):
-        raise LogError(f"{log.name}: the states after every action took too long")
+        raise InputFileError(f"{log.name}: the states after every action took too long")
     if not several and not math.isfinite(known[0].h[recording.wanted()].min()):
-        raise LogError(f"{log.name}: no state that was visited has a way to the goal, so that all actions are alike")
+        raise InputFileError(f"{log.name}: no visited state has a way to the goal, so that all actions are alike")
     reached = (
         states.reached(recording.state) if isinstance(states, JointStates) else np.zeros((0, len(recording)), bool)
     )
@@ -275,11 +275,11 @@ def require_actions(log: Log, recording: Recording, states: TransitionSystem) ->
     if len(recording):
         return
     if not log.people and log.faults:
-        raise LogError(f"{log.name}:{log.faults[0].line}: {log.faults[0]}")
+        raise InputFileError(f"{log.name}:{log.faults[0].line}: {log.faults[0]}")
     if not log.people:
-        raise LogError(f"{log.name}: no recorded actions")
+        raise InputFileError(f"{log.name}: no recorded actions")
     if not log.entries:
         why = f"; line {log.faults[0].line}: {log.faults[0]}" if log.faults else ""
-        raise LogError(f"{log.name}: no episode can be used{why}")
+        raise InputFileError(f"{log.name}: no episode can be used{why}")
     place = states.task.instance
-    raise LogError(f"{log.name}: no episode can be followed through {place}; is it the log of another instance?")
+    raise InputFileError(f"{log.name}: no episode can be followed through {place}; is it the log of another instance?")

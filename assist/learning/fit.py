@@ -239,7 +239,7 @@ def fit(
 
     Raises
     ------
-    LogError, TypeError
+    InputFileError, TypeError
         As of `replayed`.
     ValueError
         As of `replayed`; or a model is given for one of several goals; or a choice model has no table.

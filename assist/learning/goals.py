@@ -173,7 +173,7 @@ def infer_goals(
 
     Raises
     ------
-    LogError
+    InputFileError
         No part of the log can be used or, with `strict`, some part cannot.
     ValueError
         The tasks differ in more than their goals, a goal cannot be reached, or a parameter is invalid.

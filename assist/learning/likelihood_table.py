@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.arrays import read_only
+from planner.system.errors import InputFileError
 from planner.system.jit import njit
 from planner.system.results import ByContent
 
@@ -20,7 +21,6 @@ from ..people.neighbours import SeenEvent, SeenRule
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule
 from .likelihood import Data, Method, alone, largest_beta, with_trust
-from .log import LogError
 from .observations import Ints, Observations
 
 COMPILED_FOR = "estimates of people: about twelve seconds"
@@ -136,14 +136,14 @@ class LikelihoodTable(ByContent):
 
         Raises
         ------
-        LogError
+        InputFileError
             Nothing was ever suggested.
         ValueError
             Theta is to be carried, but each episode has one of several goals.
         """
         table = cls.of(observations, method)
         if not table.heard.any():
-            raise LogError("no suggestion in the log; expected some, since influence shows in the answers to them")
+            raise InputFileError("no suggestion in the log; expected some, as influence shows in the answers to them")
         if carry and any(data.goals > 1 for data in table.data):
             raise ValueError(
                 "carry: expected False, since each episode has one of several goals, on which trust depends"

@@ -32,10 +32,6 @@ EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "ac
 GAPS = "--set gaps=true (in Python gaps=True)"
 
 
-class LogError(ValueError):
-    """No part of the log can be used, or, with `strict`, not all of it."""
-
-
 @dataclass(frozen=True)
 class Fault:
     """A line of a log that cannot be used.

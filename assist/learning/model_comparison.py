@@ -50,7 +50,7 @@ def compare_models(
 
     Raises
     ------
-    LogError
+    InputFileError
         There are fewer than two people.
     """
     assert callable(progress)

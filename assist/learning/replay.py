@@ -18,7 +18,8 @@ from planner import CostToGo, TransitionSystem
 from planner.system.arrays import read_only
 from planner.system.results import Result
 
-from ..people.action_names import Matcher, UnmatchedError, Words, words_of
+from ..declare.refusals import Refusal
+from ..people.action_names import Matcher, Words, words_of
 from ..people.choices import STAND_STILL, WAIT
 from ..people.decision import NOTHING
 from ..people.terms import NOTHING_YET, Situation, Vocabulary, goals_met
@@ -211,7 +212,7 @@ def replay(
             here = slice(offsets[i], offsets[i + 1])
             try:
                 walk.go(event, int(states[i]), actions[here], targets[here], matcher)
-            except UnmatchedError as error:
+            except Refusal as error:
                 walk.fault = _at(event.entry, f"step {event.entry.step}: {error}")
                 faults += walk.unknown(number + 1, matcher)
     faults += [walk.fault for walk in walks if walk.fault is not None]
@@ -287,7 +288,7 @@ class _Walk:
         self, event: _Event, state: int, actions: NDArray[np.int32], targets: NDArray[np.signedinteger],
         matcher: Matcher,
     ) -> None:  # fmt: skip
-        """Apply an event in a state; raise an `UnmatchedError` if it is not possible there."""
+        """Apply an event in a state; raise an `Refusal` if it is not possible there."""
         if not len(actions):  # the person can only wait
             targets = np.array([state], dtype=np.int64)
         chosen = matcher.slot(event.action, actions)

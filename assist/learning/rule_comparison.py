@@ -63,7 +63,7 @@ def compare_rules(
 
     Raises
     ------
-    LogError
+    InputFileError
         Nothing was ever suggested, or there are fewer than two people.
     ValueError
         There are fewer than two folds, or the reference is missing, or the likelihood is not finite.

@@ -151,7 +151,7 @@ def fit_influence(
 
     Raises
     ------
-    LogError
+    InputFileError
         Nothing was ever suggested.
     ValueError
         There is no rule of that name; or theta is to be carried, but each episode has one of several goals.

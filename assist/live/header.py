@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner import CostToGo
-from planner.system.errors import ResultsExistError
+from planner.system.errors import InputFileError
 
 from ..declare.declared import plain
 from ..people.belief import Grid
@@ -76,12 +76,12 @@ def require_version(file: Path, found: Mapping[str, Any], format: str) -> None:
 
     Raises
     ------
-    ResultsExistError
+    InputFileError
         It is; the message states which version reads it.
     """
     known = str(found.get("format", ""))
     if known != format and _kind(known) == _kind(format):
-        raise ResultsExistError(OTHER_VERSION.format(file=file, version=found.get("version", "1.0")))
+        raise InputFileError(OTHER_VERSION.format(file=file, version=found.get("version", "1.0")))
 
 
 def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
@@ -89,7 +89,7 @@ def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, An
 
     Raises
     ------
-    ResultsExistError
+    InputFileError
         The file belongs to another session; the message states the difference.
     """
     if "format" in expected:
@@ -98,8 +98,8 @@ def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, An
     for name, value in expected.items():
         if name not in ("files", "version") and found.get(name) != value:
             if name == "tasks" and isinstance(found.get(name), dict):
-                raise ResultsExistError(f"{file}: {_others(found, value, files)}")
-            raise ResultsExistError(
+                raise InputFileError(f"{file}: {_others(found, value, files)}")
+            raise InputFileError(
                 f"{file}: the session there has {_shown(name, found.get(name), value)}; "
                 "expected the same, or another folder"
             )

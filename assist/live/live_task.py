@@ -19,7 +19,7 @@ from planner import CostToGo
 
 from ..declare.refusals import InapplicableError, Refusal
 from ..drawing.picture import Artist
-from ..people.action_names import Matcher, UnmatchedError, Words, words_of
+from ..people.action_names import Matcher, Words, words_of
 from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.goals import Goals, first_of
@@ -107,16 +107,13 @@ class LiveTask:
         InapplicableError
             It is not applicable there; the message says which actions are.
         """
-        try:
-            words = words_of(action)
-        except UnmatchedError as error:
-            raise Refusal("other", why=str(error)) from None
+        words = words_of(action)
         try:
             return self.matcher.slot(words, self.options(row))
-        except UnmatchedError as error:
+        except Refusal as error:
             if self.matcher.unknown(words) is None:
                 raise InapplicableError("not_applicable", why=str(error)) from None
-            raise Refusal("other", why=str(error)) from None
+            raise
 
     def ground(self, action: str) -> int:
         """Return the number of a ground action of the task, applicable now or not; `WAIT` for waiting.
@@ -126,10 +123,7 @@ class LiveTask:
         Refusal
             The task has no such action.
         """
-        try:
-            words = words_of(action)
-        except UnmatchedError as error:
-            raise Refusal("other", why=str(error)) from None
+        words = words_of(action)
         if words == (STAND_STILL[1:-1],):
             return WAIT
         if words not in self.matcher.number:

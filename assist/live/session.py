@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner import CostToGo
-from planner.system.errors import InputFileError, ResultsExistError
+from planner.system.errors import InputFileError
 
 from ..declare.refusals import AbsentError, InapplicableError, Refusal
 from ..people.goals import Goals
@@ -76,7 +76,7 @@ class Session(Reports):
 
     Raises
     ------
-    ResultsExistError
+    InputFileError
         The journal belongs to a running session, to one with other tasks or settings, or to another version.
     InputFileError
         Something else has changed the journal.
@@ -107,7 +107,7 @@ class Session(Reports):
         self.lock = threading.RLock()
         former = Path(journal).with_suffix(".jsonl")
         if former.exists() and not Path(journal).exists():
-            raise ResultsExistError(OTHER_VERSION.format(file=former, version="1.0"))
+            raise InputFileError(OTHER_VERSION.format(file=former, version="1.0"))
         self._store: EventStore[Any] = EventStore(Path(journal), self.kind)
         try:
             self._open()

@@ -23,7 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from planner.system.errors import InputFileError, ResultsExistError
+from planner.system.errors import InputFileError
 
 from .record import Record
 
@@ -81,7 +81,7 @@ class EventStore(Generic[R]):
 
     Raises
     ------
-    ResultsExistError
+    InputFileError
         Another process uses it.
     InputFileError
         The file is no database of a session, or is damaged.
@@ -113,7 +113,7 @@ class EventStore(Generic[R]):
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ResultsExistError(
+            raise InputFileError(
                 f"{self.file}: the folder is in use by a running session; expected another folder"
             ) from None
 

@@ -1,4 +1,3 @@
-from .action_names import UnmatchedError as UnmatchedError
 from .belief import Grid as Grid
 from .belief import ImpossibleObservationError as ImpossibleObservationError
 from .choice_model import ChoiceModel as ChoiceModel

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..declare.refusals import Refusal
 from .choices import STAND_STILL
 
 Words = tuple[str, ...]
@@ -23,8 +24,9 @@ FORMS = re.compile(r"\((?P<inner>[^()]*)\)|(?P<name>[^\s(),]+)\s*\((?P<arguments
 """Pattern of (name argument ...), name(argument, ...) and name argument ..."""
 
 
-class UnmatchedError(ValueError):
-    """Words match no applicable action, or several, or no fact that changes and is visible."""
+def unmatched(why: str) -> Refusal:
+    """Return the refusal of words that match no action or fact, or several."""
+    return Refusal("other", why=why)
 
 
 def words_of(action: str, renamed: Mapping[str, str] | None = None) -> Words:
@@ -39,12 +41,12 @@ def words_of(action: str, renamed: Mapping[str, str] | None = None) -> Words:
 
     Raises
     ------
-    UnmatchedError
+    Refusal
         The brackets are not those of one action.
     """
     found = FORMS.fullmatch(action.strip())
     if found is None:
-        raise UnmatchedError(f"{action} {wrong_form(action)}")
+        raise unmatched(f"{action} {wrong_form(action)}")
     words = re.split(r"[\s,]+", " ".join(filter(None, found.groups())).lower().strip(" ,"))
     return ((renamed or {}).get(words[0], words[0]), *words[1:]) if words[0] else ()
 
@@ -53,7 +55,7 @@ def in_pddl(action: str) -> str:
     """Return an action in PDDL notation, in lower case; as it is if it has another form than those of `words_of`."""
     try:
         return f"({' '.join(words_of(action))})"
-    except UnmatchedError:
+    except Refusal:
         return action
 
 
@@ -83,7 +85,7 @@ class Matcher:
         if not len(options):
             if words == (STAND_STILL[1:-1],):
                 return 0
-            raise UnmatchedError(f"{_shown(words)} is not applicable; a person can only wait here, {STAND_STILL}")
+            raise unmatched(f"{_shown(words)} is not applicable; a person can only wait here, {STAND_STILL}")
         number = self.number.get(words)
         if number is not None:
             slot = int(np.searchsorted(options, number))
@@ -94,9 +96,9 @@ class Matcher:
             return slots[0]
         if words and slots:
             several = ", ".join(self.actions[options[slot]] for slot in slots)
-            raise UnmatchedError(f"{_shown(words)} may be any of {several}")
+            raise unmatched(f"{_shown(words)} may be any of {several}")
         why = self.unknown(words) or f"{_shown(words)} is not applicable here"
-        raise UnmatchedError(f"{why}; {self._nearest(words, options)}")
+        raise unmatched(f"{why}; {self._nearest(words, options)}")
 
     def unknown(self, words: Words) -> str | None:
         """Return why words match no action of the task in any state; None if they may match one."""

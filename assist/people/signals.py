@@ -16,7 +16,8 @@ from typing import Literal, NamedTuple
 
 from planner import CostToGo
 
-from .action_names import UnmatchedError, words_of
+from ..declare.refusals import Refusal
+from .action_names import unmatched, words_of
 
 Kind = Literal["recovered", "ambiguous", "impossible"]
 
@@ -138,7 +139,7 @@ class ActionRecovery:
         self._facts = [[_visible(fact, seen) for fact in variable.facts] for variable in known.task.variables]
         self.facts = frozenset(fact for facts in self._facts for fact in facts if fact is not None)
         if seen is not None and (unknown := seen - {fact[1:-1].split()[0] for fact in self.facts}):
-            raise UnmatchedError(f"{min(unknown)}: no fact of this predicate changes in the task")
+            raise unmatched(f"{min(unknown)}: no fact of this predicate changes in the task")
         self._steps: dict[int, list[_Step]] = {}
 
     def recover(self, state: int, changes: Iterable[FactChange | str]) -> Recovery:
@@ -154,7 +155,7 @@ class ActionRecovery:
 
         Raises
         ------
-        UnmatchedError
+        Refusal
             The task has no such fact that changes, or it is not of the visible predicates.
         """
         reported = Counter(map(self._named, changes))
@@ -179,12 +180,12 @@ class ActionRecovery:
         fact, holds = FactChange.of(change) if isinstance(change, str) else change
         try:
             named = f"({' '.join(words_of(fact))})"
-        except UnmatchedError as error:
-            raise UnmatchedError(str(error).replace("(name", "(predicate").replace("name(", "predicate(")) from None
+        except Refusal as error:
+            raise unmatched(str(error).replace("(name", "(predicate").replace("name(", "predicate(")) from None
         if named not in self.facts:
             near = difflib.get_close_matches(named, self.facts, n=1)
             meant = f"; did you mean {near[0]}?" if near else ""
-            raise UnmatchedError(f"{named} is no visible fact that changes in the task{meant}")
+            raise unmatched(f"{named} is no visible fact that changes in the task{meant}")
         return named, bool(holds)
 
     def _explained(

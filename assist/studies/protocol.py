@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from planner import Instance, InstanceError, find_instances
+from planner import Instance, find_instances
 from planner.pddl.instance_finder import bundled_files
 from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
@@ -197,7 +197,7 @@ class Reader:
         known = {name: bundled_files(name) for name in self.table.instances if not (folder / name).exists()}
         try:
             found = [find_instances(known.get(n) or [folder / n]) for n in dict.fromkeys(self.table.instances)]
-        except InstanceError as error:
+        except InputFileError as error:
             raise fault(self.file, "instances", str(error)) from None
         problems = [instance for instances in found for instance in instances]
         stems = [instance.problem.stem for instance in problems]

@@ -71,7 +71,7 @@ def run_study(
 
     Raises
     ------
-    ResultsExistError
+    InputFileError
         The folder contains results and `resume` is not set.
     InputFileError
         The folder contains results of another study or of more repeats.

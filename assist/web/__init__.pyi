@@ -1,2 +1,1 @@
 from .client import Client as Client
-from .client import RefusedError as RefusedError

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote, unquote, urlencode, urlsplit
 
+from ..declare.refusals import Refusal
 from ..live.event_base import Event, TeamEvent
 from ..live.reports import Reports
 
@@ -27,21 +28,6 @@ reach the service.
 
 LINK = re.compile(r"(?P<root>(/[^/]+)*?)/((join|part)/(?P<name>[^/]+)|(study/)?operator|study)/?")
 """Pattern of a link's path, before the token. The path of the service (`root`) contains none of these names."""
-
-
-class RefusedError(ValueError):
-    """The service refused a request; the message is the service's reason.
-
-    Attributes
-    ----------
-    status : int
-        HTTP status code: 401 or 403 for an invalid link, 404 for an absent person, 409 for a request that the present
-        state does not allow, 422 for an invalid request.
-    """
-
-    def __init__(self, status: int, detail: str) -> None:
-        super().__init__(detail)
-        self.status = status
 
 
 class Client(Reports):
@@ -84,7 +70,7 @@ class Client(Reports):
 
         Raises
         ------
-        RefusedError
+        Refusal
             The service refused the request.
         OSError
             No answer arrived within `patience`.
@@ -100,7 +86,7 @@ class Client(Reports):
                     return content if path.startswith("/api/log") else json.loads(content)
             except urllib.error.HTTPError as error:
                 if error.code not in AGAIN or time.monotonic() > given_up:
-                    raise RefusedError(error.code, _detail(error)) from None
+                    raise Refusal.answered(error.code, _detail(error)) from None
             except (OSError, ValueError):  # the connection was lost, perhaps within an answer
                 if time.monotonic() > given_up:
                     raise
@@ -168,7 +154,7 @@ class Client(Reports):
 
         Raises
         ------
-        RefusedError
+        Refusal
             The service refuses the request; with status 404, the person has left.
         OSError
             The service cannot be reached within `patience`.
@@ -202,7 +188,7 @@ class Client(Reports):
                             yield found
             except urllib.error.HTTPError as error:
                 if error.code not in AGAIN or time.monotonic() > heard + self.patience:
-                    raise RefusedError(error.code, _detail(error)) from None
+                    raise Refusal.answered(error.code, _detail(error)) from None
             except (OSError, http.client.HTTPException):
                 if time.monotonic() > heard + self.patience:
                     raise

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from starlette.types import ASGIApp
 
 from planner import CostToGo
-from planner.system.errors import ResultsExistError
+from planner.system.errors import InputFileError
 
 from ..declare.catalogue import Catalogue
 from ..declare.refusals import InapplicableError, Refusal
@@ -241,7 +241,7 @@ class ServedTeam:
 
         Raises
         ------
-        ResultsExistError, InputFileError, OSError
+        InputFileError, InputFileError, OSError
             As in `Session`.
         ValueError
             An invalid combination, such as a choice model and a task that is too large for it.
@@ -271,7 +271,7 @@ class ServedTeam:
         known = sum(name is not None and SEAT.fullmatch(name) is not None for name in began)
         erased = sum(name is None for name in began)
         if not known <= len(self.people) <= known + erased:
-            raise ResultsExistError(
+            raise InputFileError(
                 f"{self.folder / JOURNAL}: the session there began with {known + erased} people, not "
                 f"{len(self.people)}; expected --humans {known + erased}, or another folder"
             )

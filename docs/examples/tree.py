@@ -12,7 +12,8 @@ from py_trees.common import Status
 from py_trees.composites import Sequence
 from py_trees.trees import BehaviourTree
 
-from assist.web.client import Client, RefusedError
+from assist.declare import Refusal
+from assist.web.client import Client
 
 errand = {}  # whom to go to, whether the robot is there, and what to suggest
 
@@ -34,7 +35,7 @@ class Request(Behaviour):
             return Status.RUNNING
         try:
             errand.update(self.answer.result())
-        except (RefusedError, OSError) as error:
+        except (Refusal, OSError) as error:
             print(error, flush=True)
             return Status.FAILURE
         return Status.FAILURE if errand["person"] is None else Status.SUCCESS

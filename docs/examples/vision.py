@@ -11,7 +11,8 @@ import sys
 import time
 from collections.abc import Iterator
 
-from assist.web.client import Client, RefusedError
+from assist.declare import Refusal
+from assist.web.client import Client
 
 
 def camera(service: Client, person: str) -> Iterator[str]:
@@ -29,7 +30,7 @@ def main(link: str, person: str) -> None:
     for action in camera(service, person):
         try:
             seen = service.observe(person, action)
-        except RefusedError as error:  # it has seen something that cannot have been
+        except Refusal as error:  # it has seen something that cannot have been
             print(f"{error.status}: {error}", file=sys.stderr)
             continue
         print(f"{person} {action}, remaining cost {seen['cost_to_go']:g}", flush=True)

@@ -144,7 +144,7 @@ class Results:
     def __init__(self, folder: Path, instances: Sequence[Instance], options: SolveOptions, *, resume: bool) -> None:
         """Prepare the folder for a run of the given instances; with `resume`, valid records in it are kept.
 
-        Results in the folder without `resume` raise a `ResultsExistError`, and files that are not results of this
+        Results in the folder without `resume` raise a `InputFileError`, and files that are not results of this
         program an `InputFileError`.
         """
         self._folder, self._options = folder, options

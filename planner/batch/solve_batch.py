@@ -18,7 +18,7 @@ from typing import Any
 from ..pddl.instances import Instance
 from ..system.limits import available_memory, processors
 from ..system.progress import Progress
-from ..system.workers import WorkerDiedError, outcomes
+from ..system.workers import outcomes
 from .results_folder import Key, Results, SolveOptions, SolveRecord, key, unfinished, unsolved
 from .solve_instance import solve_instance
 
@@ -45,7 +45,7 @@ def solve_batch(
 
     The folder `out` receives tables, plans and `results.jsonl`, to which each record is added at once. With `resume`,
     its valid records of solved and unsolvable instances are kept, and only the others are run; without it, results in
-    the folder raise a `ResultsExistError`. At most `jobs` worker processes share the machine's memory and processors;
+    the folder raise a `InputFileError`. At most `jobs` worker processes share the machine's memory and processors;
     with `jobs=0`, a fork of this process solves them one after another (`outcomes`). Instead, the workers of the
     Dask `scheduler` at an address can solve the instances. They must see the same files at the same paths, and run one
     thread each.
@@ -189,7 +189,7 @@ def _ended(
     instance: Instance, error: Exception, options: SolveOptions, latest: tuple[SolveRecord, bool] | None
 ) -> SolveRecord:
     """Return the record of an instance whose worker ended early. An internal error affects one instance only."""
-    if not isinstance(error, TimeoutError | WorkerDiedError):
+    if not isinstance(error, TimeoutError | ChildProcessError):
         return unsolved(instance, "invalid", f"internal error: {error!r}")
-    why = str(error) if isinstance(error, WorkerDiedError) else f"out of time ({options.time_limit:g} s)"
+    why = str(error) if isinstance(error, ChildProcessError) else f"out of time ({options.time_limit:g} s)"
     return unsolved(instance, "limit", why) if latest is None else unfinished(latest[0], why)

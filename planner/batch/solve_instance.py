@@ -26,7 +26,7 @@ from ..pddl.compilation import NO_SEQUENTIAL_PLAN
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.plan_execution import execute
 from ..pddl.reader import Reading, read
-from ..pddl.validation import InvalidPlanError, SecondReader
+from ..pddl.validation import SecondReader
 from ..system.compiling import compiling
 from ..system.errors import MismatchError
 from ..system.files import atomic
@@ -180,7 +180,7 @@ def _record_of(error: Exception, instance: Instance, options: SolveOptions) -> S
         return empty_record(instance, "invalid", error_entry(error.file, error.line, error.message))
     if isinstance(error, LimitError):
         return unsolved(instance, "limit", str(error))
-    if isinstance(error, FastDownwardError | MismatchError | InvalidPlanError):
+    if isinstance(error, FastDownwardError | MismatchError):
         return unsolved(instance, "invalid", str(error))
     number = error.errno if isinstance(error, OSError) else None
     no_thread = isinstance(error, RuntimeError) and str(error) == NO_MORE_THREADS

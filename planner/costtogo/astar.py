@@ -19,8 +19,8 @@ from ..grounding.fast_downward import FastDownwardError
 from ..grounding.leaving import out_of_range, with_leaving, without_leaving
 from ..grounding.semantics import plan_cost, replay
 from ..grounding.task import Task
-from ..pddl.validation import InvalidPlanError
 from ..search.packing import can_hold
+from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits, MemoryLimitError, available_memory, used_mb
 from .cost_to_go import Plan
 from .load import task_of
@@ -261,7 +261,7 @@ class Early:
         try:
             most = min(seconds, inf if limits.seconds is None else limits.seconds)
             self.answer = self.wait(replace(limits, seconds=most if isfinite(most) else None))
-        except (LimitError, FastDownwardError, InvalidPlanError, OSError) as error:
+        except (LimitError, FastDownwardError, MismatchError, OSError) as error:
             return str(error)
         return None
 
@@ -283,7 +283,7 @@ class Early:
             if answer[1] is not None:
                 replay(self._task, answer[1])
             self.answer = answer
-        except (LimitError, FastDownwardError, InvalidPlanError) as error:
+        except (LimitError, FastDownwardError, MismatchError) as error:
             self._fault = error
         except (OSError, MemoryError, RuntimeError):
             pass  # `wait` repeats the search when the other work is done

@@ -31,6 +31,7 @@ from ..pddl.instances import PDDLError
 from ..pddl.reader import Reading
 from ..pddl.value_ranges import UnprovenError
 from ..pddl.value_sets import Trial
+from ..system.errors import UnsuitedError
 from ..system.limits import NO_LIMITS, LimitError, Limits, MemoryLimitError
 
 FIRST_VALUES = 8
@@ -79,7 +80,7 @@ class _Trials:
     def sufficient(self, refusal: UnprovenError) -> tuple[Compilation, Task]:
         """Return the compilation and the task of a trial that suffices; if there is none, raise the refusal."""
         from ..search.search_space import explore  # slow to import, and seldom needed
-        from .trial_states import BeyondError, WatchedStates, stays_within
+        from .trial_states import WatchedStates, stays_within
 
         states, open_trials = MOST_STATES, []
         for trial, compilation, task, decided in self._made():
@@ -90,7 +91,7 @@ class _Trials:
             watched = WatchedStates(task, states)
             try:
                 explore(watched, watched.budget, 1, lambda *_: None)  # one thread: the same states are met each time
-            except BeyondError:
+            except UnsuitedError:
                 states -= len(watched)
             except MemoryLimitError:
                 raise

@@ -35,11 +35,12 @@ from ..grounding.task import Task
 from ..search.kernels import packed_successors
 from ..search.kernels.packed_successors import PackedOperators
 from ..search.packing import Packing, holds
-from ..search.sorted_space import Successors, TooLargeError
+from ..search.sorted_space import Successors
 from ..search.state_registry import StateRegistry
 from ..search.state_space import UNREACHED, Transitions, joined, state_numbers
 from ..search.successor_generator import Expanded, expanded, packed_operators
 from ..system.arrays import Ints, Words
+from ..system.errors import UnsuitedError
 from ..system.limits import NO_LIMITS, LimitError, Limits, processors
 from ..system.threads import on_threads
 from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
@@ -176,7 +177,7 @@ class OnDemand:
         """The transition function in numpy; None if the task is too large for it, or orbits have a compiled one."""
         try:
             return Successors.of(self.task, self.packing) if self.orbits is None else None
-        except TooLargeError:
+        except UnsuitedError:
             return None
 
     def _expanded(self, rows: Words) -> Iterator[Expanded]:

@@ -27,9 +27,10 @@ from ..grounding.task import Task
 from ..pddl.formulas import LARGEST_COST
 from ..search.numbering import SweepOptions, strides
 from ..search.search_space import SearchSpace, distances, explore
-from ..search.sorted_space import SortedSpace, TooLargeError
+from ..search.sorted_space import SortedSpace
 from ..search.state_space import UNREACHED, StateSpace, Transitions, as_floats, is_dead_end, plan_lengths, state_numbers
 from ..system.arrays import Ints
+from ..system.errors import UnsuitedError
 from ..system.limits import Budget, CostLimitError, Deadline, LimitError, MemoryLimitError, processors
 from ..system.progress import Progress, Wanted, shows_progress
 from ..system.results import Result
@@ -284,7 +285,7 @@ def _small(task: Task, budget: Budget, progress: Progress, options: SweepOptions
         space = SortedSpace(task, budget, options.small_states)
         explore(space, budget, 1, progress)
         stride = strides(task, space.transitions, budget, options)
-    except (TooLargeError, MemoryLimitError, MemoryError):
+    except (UnsuitedError, MemoryLimitError, MemoryError):
         return None
     if stride is not None:
         space.by_rank(stride)

@@ -16,7 +16,8 @@ from ..search.packing import Packing, holds
 from ..search.state_registry import RegistrySpace, StateRegistry
 from ..search.successor_generator import Expanded, expanded, packed_operators
 from ..system.arrays import Ints
-from ..system.limits import Budget, LimitError
+from ..system.errors import UnsuitedError
+from ..system.limits import Budget
 
 STATES_AT_A_TIME = 10_000
 
@@ -73,12 +74,8 @@ def _wait(states: Ints, costs: Ints, waiting: dict[int, list[Ints]], queue: list
         waiting[cost].append(np.unique(states[costs == cost]))
 
 
-class BeyondError(LimitError):
-    """A reachable state has a number beyond its values."""
-
-
 class WatchedStates(RegistrySpace):
-    """The states of a trial, whose enumeration ends once one has a number beyond its values."""
+    """The states of a trial; its enumeration ends with an `UnsuitedError` once one has a number beyond its values."""
 
     def __init__(self, task: Task, most_states: int) -> None:
         self.task, self.budget = task, Budget.within(most_states)
@@ -103,5 +100,5 @@ class WatchedStates(RegistrySpace):
         parts = super().expand(block)
         for _, _, after in parts:
             if any(np.any(holds(after, *condition)) for condition in self._beyond):
-                raise BeyondError("a number is beyond its values")
+                raise UnsuitedError("a number is beyond its values")
         return parts

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from ..pddl.validation import InvalidPlanError
+from ..system.errors import MismatchError
 from .task import Effect, Fact, Operator, Task
 
 
@@ -16,7 +16,7 @@ def replay(task: Task, plan: Sequence[str]) -> int:
     """Execute a plan, ground actions as `(name arg ...)`, from the initial state, and return its cost.
 
     The cost is a multiple of the task's `unit`. An unknown or inapplicable action, or a goal that does not hold at the
-    end, raises an `InvalidPlanError`.
+    end, raises a `MismatchError`.
     """
     return sum(steps_along(task, plan)[1])
 
@@ -30,7 +30,7 @@ def steps_along(task: Task, plan: Sequence[str]) -> tuple[list[list[int]], list[
     state = states[-1]
     missing = [task.variables[variable].facts[value] for variable, value in task.goal if state[variable] != value]
     if missing:
-        raise InvalidPlanError(f"the goal does not hold after the plan: {', '.join(missing)}")
+        raise MismatchError(f"the goal does not hold after the plan: {', '.join(missing)}")
     return states, costs
 
 
@@ -38,7 +38,7 @@ def plan_cost(task: Task, plan: Sequence[str], state: Sequence[int] | None = Non
     """Return the cost of a plan, a multiple of the task's `unit`.
 
     If costs depend on the state, the plan is executed from the given state, by default the initial one; an action that
-    is not applicable then raises an `InvalidPlanError`.
+    is not applicable then raises a `MismatchError`.
     """
     if len(task.numbers_of) == len(task.actions):
         return sum(task.costs[task.numbers_of[action][0]] for action in plan)
@@ -50,11 +50,11 @@ def _executed(task: Task, plan: Sequence[str], start: Sequence[int]) -> tuple[li
     states, costs = [derived(task, start)], list[int]()
     for step, name in enumerate(plan):
         if name not in task.numbers_of:
-            raise InvalidPlanError(f"step {step}: {name} is no action of the task")
+            raise MismatchError(f"step {step}: {name} is no action of the task")
         numbers, state = task.numbers_of[name], states[-1]
         operator = next((o for o in task.operators if o.action in numbers and _hold(o.preconditions, state)), None)
         if operator is None:
-            raise InvalidPlanError(f"step {step}: {name} is not applicable")
+            raise MismatchError(f"step {step}: {name} is not applicable")
         states.append(derived(task, _applied(operator, state)))
         costs.append(task.costs[operator.action])
     return states, costs

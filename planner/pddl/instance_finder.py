@@ -18,6 +18,7 @@ from functools import cache
 from itertools import takewhile
 from pathlib import Path
 
+from ..system.errors import InputFileError
 from .instances import Instance, PDDLError
 
 DOMAIN_FILE = "domain.pddl"
@@ -114,10 +115,6 @@ def _number(cell: str) -> float | None:
 
 
 OPTION = "--domain (in Python: domain=)"
-
-
-class InstanceError(ValueError):
-    """A name on the command line does not stand for any instance."""
 
 
 @dataclass(frozen=True)
@@ -288,11 +285,11 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
 
     Raises
     ------
-    InstanceError
+    InputFileError
         A file does not exist, or a folder or a glob contains no problem.
     """
     if domain is not None and not Path(domain).is_file():
-        raise InstanceError(f"{domain}: no such domain file")
+        raise InputFileError(f"{domain}: no such domain file")
     heads = Heads()
     given = None if domain is None else Path(domain).resolve()
 
@@ -308,13 +305,13 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
         elif path.is_dir():
             files = sorted(filter(is_problem, path.rglob("*.pddl")))
             if not files:
-                raise InstanceError(f"{name}: no problem file (*.pddl that defines no domain) in this folder")
+                raise InputFileError(f"{name}: no problem file (*.pddl that defines no domain) in this folder")
         else:
             files = sorted(filter(is_problem, _matching(path)))
             if not files and any(mark in str(path) for mark in "*?["):
-                raise InstanceError(f"{name}: no problem file matches")
+                raise InputFileError(f"{name}: no problem file matches")
             if not files and not (files := bundled_files(path)):
-                raise InstanceError(f"{name}: no such file or folder{bundled_near(path)}")
+                raise InputFileError(f"{name}: no such file or folder{bundled_near(path)}")
         found.update((_instance(file, domain, heads), None) for file in files)
     domains = {one.domain.resolve() for one in found if not heads[one.problem].is_domain}
     return [one for one in found if one.problem.resolve() not in domains]

@@ -112,29 +112,10 @@ def text(file: Path, kind: str) -> str:
     return content.lower()
 
 
-def parse(file: Path, content: str) -> Expression:
-    """Read a file's text as nested lists.
-
-    If parentheses do not match, the `PDDLError` has the line where this probably began, not the end of the file.
-    """
-    try:
-        return nested(content)
-    except UnbalancedError as error:
-        raise PDDLError(file, error.line, str(error)) from None
-
-
 SECTIONS = {
     ":requirements", ":types", ":constants", ":predicates", ":functions", ":action", ":durative-action", ":derived",
     ":domain", ":objects", ":init", ":goal", ":metric",
 }  # fmt: skip
-
-
-class UnbalancedError(ValueError):
-    """Parentheses do not match; `line` is the line of the fault."""
-
-    def __init__(self, line: int, message: str) -> None:
-        self.line = line
-        super().__init__(message)
 
 
 class Place(NamedTuple):
@@ -190,8 +171,12 @@ def tokens(text: str) -> Iterator[tuple[str, Place]]:
             yield match[0], Place(line, match.start() + 1)
 
 
-def nested(text: str) -> Expression:
-    """Parse the only list of a text; raise `UnbalancedError` if parentheses do not match or are nested too deep."""
+def nested(file: Path, text: str) -> Expression:
+    """Return the only list of a file's text.
+
+    If parentheses do not match, or are nested too deep, the `PDDLError` has the line where this probably began, not the
+    end of the file.
+    """
     deepest = 200  # largest depth of nested lists. Recursive readers would otherwise exceed Python's recursion limit
     opened: list[tuple[Place, list[Expression]]] = []
     whole: Expression | None = None
@@ -201,10 +186,10 @@ def nested(text: str) -> Expression:
         if token == "(":
             opened.append((place, []))
             if len(opened) > deepest:
-                raise UnbalancedError(line, f"more than {deepest} parentheses are open here; expected fewer")
+                raise PDDLError(file, line, f"more than {deepest} parentheses are open here; expected fewer")
         elif token == ")":
             if not opened:
-                raise UnbalancedError(line, "')' without a '(' that it closes")
+                raise PDDLError(file, line, "')' without a '(' that it closes")
             begin, parts = opened.pop()
             closed = Expression("", tuple(parts), begin)
             if opened:
@@ -212,16 +197,16 @@ def nested(text: str) -> Expression:
             elif whole is None:
                 whole = closed
             else:
-                raise UnbalancedError(begin.line, "nothing is expected after the end of (define ...)")
+                raise PDDLError(file, begin.line, "nothing is expected after the end of (define ...)")
         else:
             if previous == "(" and token in SECTIONS:
                 if len(opened) > 2:
-                    raise UnbalancedError(opened[-2][0].line, f"'(' is not closed before ({token} on line {line}")
+                    raise PDDLError(file, opened[-2][0].line, f"'(' is not closed before ({token} on line {line}")
                 section = line
             if not opened:
-                raise UnbalancedError(line, f"'{token}' is not within (define ...)")
+                raise PDDLError(file, line, f"'{token}' is not within (define ...)")
             opened[-1][1].append(Expression(token, (), place))
         previous = token
     if opened:
-        raise UnbalancedError(section, "')' is missing between here and the end of the file")
+        raise PDDLError(file, section, "')' is missing between here and the end of the file")
     return whole or Expression("", (), Place(1, 1))

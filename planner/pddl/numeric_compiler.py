@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
+from ..system.errors import UnsuitedError
 from . import metric, numeric_encoding, numeric_schemas, timed_schemas, value_encoder
 from .conditions import FALSE, is_numeric, normal_form
 from .declarations import OBJECT, REQUIREMENTS, Symbol, Typed, Types, refuse
@@ -21,7 +22,7 @@ from .numeric_expressions import Number, as_shown
 from .numeric_schemas import Preparation
 from .reader import Action, Domain, DurativeAction, Problem, Reading, Rule
 from .saturation import Read, reads, saturations
-from .static_facts import Statics, TooManyError
+from .static_facts import Statics
 from .value_encoder import Encoder
 from .value_ranges import Bounds, Proofs
 from .value_scope import Scope
@@ -64,7 +65,7 @@ class Compiler:
         try:
             self.goal = self.statics.simplified(self.statics.expanded(goal), {})
             self.rules = [(rule, self.statics.expanded(condition)) for rule, condition in rules]
-        except TooManyError:
+        except UnsuitedError:
             refuse(reading.instance.problem, None, "the goal compares too many numbers within (forall ...); expected "
                    "fewer objects")  # fmt: skip
         preparation = Preparation(reading, self.statics, self.roles, self.metric, derived)
@@ -82,7 +83,7 @@ class Compiler:
         for each in self.costed:
             try:
                 action = numeric_encoding.encoded(encoder, each, self._kinds(each.schema.parameters))
-            except TooManyError:
+            except UnsuitedError:
                 refuse(self.file, each.schema.place, f"action '{each.schema.name}' has too many combinations "
                        "of objects in its numbers; expected fewer objects, or fewer in one expression")  # fmt: skip
             if action is not None:
@@ -119,7 +120,7 @@ class Compiler:
             kinds = self._kinds(each.schema.parameters)
             try:
                 changes += ground_changes(statics, each.schema, kinds)
-            except TooManyError:
+            except UnsuitedError:
                 refuse(self.file, each.schema.place, f"action '{each.schema.name}' changes numbers for too many "
                        "combinations of objects; expected fewer objects")  # fmt: skip
             top = (each.schema.precondition,)
@@ -131,7 +132,7 @@ class Compiler:
         initial = initial_values(self.roles.kept, self.reading.problem.values, (each.fluent for each in changes))
         try:
             limits = saturations(statics, self.roles.kept, self.costed, compared, changes, initial)
-        except TooManyError:
+        except UnsuitedError:
             refuse(self.file, self.costed[0].schema.place, "the numbers of this domain are compared for too many "
                    "combinations of objects; expected fewer objects, or fewer comparisons")  # fmt: skip
         of_actions = {each.name: self._kinds(each.parameters) for each in self._signatures()}

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ..system.errors import UnsuitedError
 from . import timed_schemas
 from .conditions import (
     FALSE,
@@ -28,7 +29,7 @@ from .instances import Expression
 from .metric import Metric
 from .numeric_expressions import Number, terms_of, word_of
 from .reader import Reading
-from .static_facts import Statics, TooManyError, literal_number
+from .static_facts import Statics, literal_number
 from .timed_schemas import END, START, Change, TimedSchema
 
 MOST_VARIANTS = 128
@@ -123,7 +124,7 @@ class Preparation:
                 for variant in self._distinct(started):
                     decided = self._decided(merged(self.file, variant, self.derived))
                     found += [self._costed(each) for each in decided if each.precondition != FALSE]
-        except TooManyError:
+        except UnsuitedError:
             refuse(self.file, timed.place, f"action '{timed.name}' has too many combinations of objects in conditions "
                    "or changes of numbers; expected fewer objects, or fewer terms in one action")  # fmt: skip
         if len(found) > MOST_VARIANTS:
@@ -157,7 +158,7 @@ class Preparation:
                 continue
             rows = self.statics.bindings(change.variables, [*conjuncts(before), *conjuncts(change.condition)])
             if len(rows) > MOST_WRITTEN_OUT:
-                raise TooManyError
+                raise UnsuitedError
             for row in rows:
                 bound = dict(zip(change.variables, row, strict=True))
                 each = timed_schemas.renamed(change, bound)
@@ -277,7 +278,7 @@ class Preparation:
             )
             false = tuple(each for same, each in both if not same)
             if len(waiting) > MOST_VARIANTS:
-                raise TooManyError
+                raise UnsuitedError
             waiting.append(replace(schema.with_condition(unsatisfied(condition)), changes=false))
             waiting.append(replace(schema.with_condition(condition), changes=true))
 
@@ -290,7 +291,7 @@ class Preparation:
             if doubtful is None:
                 made += 1
                 if made > MOST_VARIANTS:
-                    raise TooManyError
+                    raise UnsuitedError
                 yield replace(each, changes=tuple(self._summed(each.changes)))
                 continue
             condition = doubtful.condition

@@ -18,10 +18,10 @@ from fractions import Fraction
 from functools import cached_property
 from typing import NamedTuple
 
+from ..system.errors import MismatchError
 from . import declarations, instances
 from .declarations import Typed
 from .instances import Expression, Instance
-from .validation import InvalidPlanError
 
 Term = tuple[str, ...]
 """A ground atom, or a function with its arguments."""
@@ -68,7 +68,7 @@ class Executed(NamedTuple):
 def execute(instance: Instance, plan: Sequence[str]) -> Executed:
     """Execute a plan, ground actions as `(name argument ...)`, by the meaning of the files.
 
-    If an action is unknown or not applicable, or the goal does not hold at the end, this raises an `InvalidPlanError`.
+    If an action is unknown or not applicable, or the goal does not hold at the end, this raises a `MismatchError`.
     """
     files = _Files(instance)
     state, durations = files.initial, list[Fraction | None]()
@@ -76,12 +76,12 @@ def execute(instance: Instance, plan: Sequence[str]) -> Executed:
         try:
             state, duration = files.after(state, action)
         except ArithmeticError as error:
-            raise InvalidPlanError(f"step {step}: {action} reads {error or 'a quotient by zero'}") from None
-        except InvalidPlanError as error:
-            raise InvalidPlanError(f"step {step}: {action} {error}") from None
+            raise MismatchError(f"step {step}: {action} reads {error or 'a quotient by zero'}") from None
+        except MismatchError as error:
+            raise MismatchError(f"step {step}: {action} {error}") from None
         durations.append(duration)
     if not files.holds(files.goal, {}, _Moments(state, state)):
-        raise InvalidPlanError("the goal does not hold after the plan")
+        raise MismatchError("the goal does not hold after the plan")
     if files.metric is None:
         cost = sum((Fraction(1) if each is None else each for each in durations), Fraction(0))
     else:
@@ -95,7 +95,7 @@ class _Files:
 
     def __init__(self, instance: Instance) -> None:
         domain, problem = (
-            instances.parse(file, instances.text(file, kind))
+            instances.nested(file, instances.text(file, kind))
             for file, kind in ((instance.domain, "domain"), (instance.problem, "problem"))
         )
         self.types = declarations.types(instance.domain, domain.section(":types"))
@@ -244,11 +244,11 @@ class _Files:
     def after(self, state: _State, action: str) -> tuple[_State, Fraction | None]:
         """Return the state after a ground action, and its duration, if it has one.
 
-        An `InvalidPlanError` says why the action is not applicable.
+        A `MismatchError` says why the action is not applicable.
         """
         name, *arguments = action[1:-1].split()
         if name not in self.actions:
-            raise InvalidPlanError("is no action of the domain")
+            raise MismatchError("is no action of the domain")
         part = self.actions[name]
         given = {key.word: value for key, value in itertools.pairwise(part.parts[2:]) if key.word.startswith(":")}
         none = Expression("")
@@ -256,7 +256,7 @@ class _Files:
         if len(arguments) != len(typed) or any(
             a not in self._fitting(t) for a, t in zip(arguments, typed, strict=True)
         ):
-            raise InvalidPlanError("has arguments of other types")
+            raise MismatchError("has arguments of other types")
         scope: dict[str, str | Fraction] = dict(zip((one.name for one in typed), arguments, strict=True))
         durative = part.head == ":durative-action"
         duration = None
@@ -266,7 +266,7 @@ class _Files:
         later = self._changed(state, [one for one in effects if one.at_start], _Moments(state, state))
         condition = given.get(":condition" if durative else ":precondition", none)
         if not self.holds(condition, scope, _Moments(state, later)):
-            raise InvalidPlanError("is not applicable")
+            raise MismatchError("is not applicable")
         return self._changed(later, [one for one in effects if not one.at_start], _Moments(state, later)), duration
 
     def _duration(self, constraint: Expression, scope: Scope, state: _State) -> Fraction:
@@ -283,7 +283,7 @@ class _Files:
                 bounds.append((one.head, self.value(one.parts[2], scope, state)))
         least = max((value for sign, value in bounds if sign in ("=", ">=", ">")), default=Fraction(0))
         if least < 0 or not all(COMPARISONS[sign](least, value) for sign, value in bounds):
-            raise InvalidPlanError("has no duration")
+            raise MismatchError("has no duration")
         return least
 
     def _effects(
@@ -346,7 +346,7 @@ def _combined(value: Fraction, changes: Sequence[tuple[str, Fraction]]) -> Fract
     if kinds == {"increase"}:
         return value + sum((-amount if kind == "decrease" else amount for kind, amount in changes), Fraction(0))
     if len(set(changes)) > 1:
-        raise InvalidPlanError("changes a number in two ways at once")
+        raise MismatchError("changes a number in two ways at once")
     kind, amount = changes[0]
     return amount if kind == "assign" else value * amount if kind == "scale-up" else value / amount
 

@@ -143,7 +143,7 @@ def read(instance: Instance) -> Reading:
     if (fault := instance_finder.missing(instance)) is not None:
         raise fault
     domain, problem = (
-        instances.parse(file, instances.text(file, kind))
+        instances.nested(file, instances.text(file, kind))
         for file, kind in ((instance.domain, "domain"), (instance.problem, "problem"))
     )
     declarations.check_supported(instance, domain, problem)

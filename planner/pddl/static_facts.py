@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from math import prod
 
+from ..system.errors import UnsuitedError
 from .conditions import COMPLEMENT, FALSE, TRUE, conjunction, conjuncts, disjunction, free_variables, variables_of
 from .formulas import listed
 from .instances import Expression
@@ -20,10 +21,6 @@ FEW = 200
 """Objects for which a condition without numbers is written out."""
 COMPARISON = 50
 """Work of one comparison of numbers."""
-
-
-class TooManyError(ValueError):
-    """More combinations of objects or values than are enumerated."""
 
 
 class Statics:
@@ -93,7 +90,7 @@ class Statics:
         """Return the objects for variables, with their types, that satisfy conditions as far as these are static.
 
         Conditions on other variables too are only used in so far as some object may satisfy them. The static `terms`
-        must have a value. More than `LARGEST_JOIN` combinations raise a `TooManyError`.
+        must have a value. More than `LARGEST_JOIN` combinations raise an `UnsuitedError`.
         """
         relations, filters = [], []
         for condition in (each for whole in conditions for each in conjuncts(whole)):
@@ -151,7 +148,7 @@ class Statics:
             for before in found:
                 longer += [before + after for after in index.get(tuple(before[n] for n in at), ())]
                 if len(longer) > LARGEST_JOIN:
-                    raise TooManyError
+                    raise UnsuitedError
             self._count(len(longer))
             names += tuple(columns[n] for n in new)
             known = set(names)
@@ -194,10 +191,10 @@ class Statics:
         return listed(condition.parts[0], *(Expression(word) for word in words))
 
     def _count(self, work: int) -> None:
-        """Count work; a `TooManyError` says that it is too much."""
+        """Count work; an `UnsuitedError` says that it is too much."""
         self._work += work
         if self._work > MOST_WORK:
-            raise TooManyError
+            raise UnsuitedError
 
     def _compared(self, comparison: Expression, bound: Mapping[str, str]) -> Expression:
         self._count(COMPARISON)
@@ -233,7 +230,7 @@ class Statics:
             return listed(condition.parts[0], parts[0], body)
         rows = self.bindings(variables, conjuncts(body) if head == "exists" else ())
         if len(rows) * max(len(conjuncts(body)), 1) > 20_000:  # conditions: more would not be grounded
-            raise TooManyError
+            raise UnsuitedError
         each = (self.simplified(body, dict(zip(variables, row, strict=True))) for row in rows)
         return conjunction(each) if head == "forall" else disjunction(each)
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, Limits, limit_process
 from ..system.processes import guarded_group, python
 from . import writer
@@ -41,14 +42,6 @@ ANNOTATIONS = {"ConfigSpace": "ConfigurationSpace", "networkx": "DiGraph"}
 """Packages that unified-planning's reader and validator use for annotations only, and the names used. The process has
 stand-ins for them: it starts in 0.16 s of processor time, instead of 1.05 s.
 """
-
-
-class InvalidPlanError(AssertionError):
-    """A plan does not solve its task."""
-
-
-class InstanceRefusedError(ValueError):
-    """unified-planning refuses an instance; the message is its reason."""
 
 
 class SecondReader:
@@ -86,7 +79,7 @@ class SecondReader:
     def answer(self, seconds: float) -> str | None:
         """Return why the instance or its plan is not checked; None if both are valid. No plan can be asked afterwards.
 
-        This waits at most for so many seconds. A plan that unified-planning rejects raises an `InvalidPlanError`.
+        This waits at most for so many seconds. A plan that unified-planning rejects raises a `MismatchError`.
         """
         self.ask(None)
         try:
@@ -101,7 +94,7 @@ class SecondReader:
             plan = self._plan.result()
             if said is None and plan is not None:
                 said = process.asked("plan", plan)
-        except InvalidPlanError as error:
+        except MismatchError as error:
             self._said.set_exception(error)
         except (EOFError, OSError):
             process.left = 0
@@ -153,7 +146,7 @@ class _Process:
         self.connection.send(question)
         said, rejected = self.connection.recv()
         if rejected:
-            raise InvalidPlanError(said)
+            raise MismatchError(said)
         return said
 
     def release(self, *, reusable: bool) -> None:
@@ -181,7 +174,7 @@ def _end_idle() -> None:
 def validate(problem: Problem, plan: Sequence[str]) -> None:
     """Check a plan, a sequence of ground actions `(name arg ...)`, with unified-planning's own validator.
 
-    If it does not lead to the goal, or an action of it is not applicable, this raises an `InvalidPlanError`.
+    If it does not lead to the goal, or an action of it is not applicable, this raises a `MismatchError`.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -194,22 +187,21 @@ def validate(problem: Problem, plan: Sequence[str]) -> None:
         validator.skip_checks = True
         result = validator.validate(problem, parsed)
     if result.status != ValidationResultStatus.VALID:
-        raise InvalidPlanError(f"unified-planning's validator rejects the plan: {result.reason}")
+        raise MismatchError(f"unified-planning's validator rejects the plan: {result.reason}")
 
 
-def parsed(domain: str, problem: str) -> Problem:
-    """Parse an instance's texts with unified-planning; raise `InstanceRefusedError` if it refuses them."""
+def parsed(domain: str, problem: str) -> tuple[Problem | None, str | None]:
+    """Return an instance's texts as a problem of unified-planning; or None, and why it refuses them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # unified-planning and pyparsing warn of their own internals
         from unified_planning.io import PDDLReader
 
         try:
-            return PDDLReader().parse_problem_string(domain, problem)
+            return PDDLReader().parse_problem_string(domain, problem), None
         except Exception as fault:  # noqa: BLE001  it raises any exception, internal errors included
             clear_walkers()
             # Further lines give places in the rewritten text.
-            reason = str(fault).partition("\n")[0] or f"it fails at it ({type(fault).__name__})"
-            raise InstanceRefusedError(reason) from None
+            return None, str(fault).partition("\n")[0] or f"it fails at it ({type(fault).__name__})"
 
 
 def clear_walkers() -> None:
@@ -235,11 +227,11 @@ def _serve(connection: Connection) -> None:
             said, rejected = None, False
             try:
                 if what == "files":
-                    problem = known(*given)
+                    problem, said = known(*given)
                 else:
                     validate(problem, *given)
-            except (InstanceRefusedError, InvalidPlanError) as error:
-                said, rejected = str(error), isinstance(error, InvalidPlanError)
+            except MismatchError as error:
+                said, rejected = str(error), True
             except Exception as error:  # noqa: BLE001  the library's own internal errors
                 said = f"it fails at it ({type(error).__name__})"
             connection.send((said, rejected))

@@ -19,6 +19,7 @@ from fractions import Fraction
 from functools import cached_property
 from math import ceil, floor
 
+from ..system.errors import UnsuitedError
 from .conditions import COMPLEMENT, FALSE, TRUE, conjuncts, free_variables
 from .declarations import refuse
 from .durative import key
@@ -27,15 +28,13 @@ from .instances import Expression, PDDLError, Place
 from .numeric_expressions import Number, as_shown, linear, terms_of, whole
 from .numeric_schemas import Costed
 from .reader import Reading
-from .static_facts import Statics, TooManyError, literal_number
+from .static_facts import Statics, literal_number
 from .value_sets import (
     MOST_TOGETHER,
     Fluent,
     GroundChange,
     Saturation,
-    TooIntricateError,
     Trial,
-    UnboundedError,
     Value,
     ValueSets,
     computed,
@@ -70,18 +69,19 @@ class Bounds:
         proofs, together, tried = self.proofs, MOST_TOGETHER, set[str]()
         while True:
             try:
-                return computed(
+                found = computed(
                     proofs.of_all, proofs.begin, limit=self.most_values, saturations=self.saturations,
                     ranges=self.ranges, together=together, tried=tried, trial=trial,
                 )  # fmt: skip
-            except TooIntricateError:
+            except UnsuitedError:
                 if together > 1:
                     together = 1
                     continue
                 refuse(proofs.file, proofs.place, "the numbers of this domain have too many combinations of values in "
                        "one change; expected fewer values, or simpler expressions")  # fmt: skip
-            except UnboundedError as error:
-                fluent = error.fluent
+            if found.unbounded is None:
+                return found
+            fluent = found.unbounded
             if fluent in self.ranges and trial is None:
                 raise unproven(proofs, fluent, self.ranges[fluent], self.most_values)
             if fluent in self.ranges:
@@ -246,7 +246,7 @@ class Proofs:
             if low is None:
                 least = self._potential(fluent, -1)
                 low = None if least is None else -least
-        except TooManyError:
+        except UnsuitedError:
             return low, high
         return low, high
 
@@ -265,7 +265,7 @@ class Proofs:
                 found.setdefault(row.text(), row)
                 self.work -= 1
                 if len(found) > MOST_ROWS or self.work <= 0:
-                    raise TooManyError
+                    raise UnsuitedError
         self.rows[name] = list(found.values())
         return self.rows[name]
 

@@ -16,6 +16,7 @@ from enum import Enum
 from fractions import Fraction
 from typing import Any
 
+from ..system.errors import UnsuitedError
 from .conditions import (
     COMPLEMENT,
     FALSE,
@@ -75,18 +76,6 @@ class Trial:
         return before < self.values if known is None or value is None else value in known
 
 
-class UnboundedError(ValueError):
-    """A fluent has more values than allowed."""
-
-    def __init__(self, fluent: Fluent) -> None:
-        self.fluent = fluent
-        super().__init__(fluent)
-
-
-class TooIntricateError(ValueError):
-    """The sets are too expensive to compute."""
-
-
 @dataclass(frozen=True)
 class GroundChange:
     """A change of one fluent with objects for its variables, under conditions that read numbers only."""
@@ -129,6 +118,8 @@ class ValueSets:
     """Fluents of which a value outside of the proven range has been left out."""
     open: set[Fluent] = field(default_factory=set)
     """Fluents of which a value has been left out that may be reachable."""
+    unbounded: Fluent | None = None
+    """A fluent with more values than allowed, at which the search ended; the sets are not complete then."""
 
 
 def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -> list[GroundChange]:
@@ -304,8 +295,8 @@ def computed(
 ) -> ValueSets:
     """Return the values of all fluents.
 
-    A fluent with more than `limit` values raises an `UnboundedError`, and more than `MOST_STEPS` combinations raise a
-    `TooIntricateError`. A condition on several fluents is used up to `together` combinations of their values. Fluents
+    The search ends at a fluent with more than `limit` values; more than `MOST_STEPS` combinations raise an
+    `UnsuitedError`. A condition on several fluents is used up to `together` combinations of their values. Fluents
     of the functions that are `tried` have the values of the `trial`, and those that are assigned or with which they
     begin.
     """
@@ -338,7 +329,8 @@ def computed(
             own = trial if position and fluent[0] in tried else None
             long = value is not None and max(abs(value.numerator), value.denominator) > LONGEST
             if long and own is None:
-                raise UnboundedError(fluent)
+                found.unbounded = fluent
+                return
             if own is not None and (long or not own.allows(fluent, value, len(found.values[fluent]))):
                 found.limited.add(fluent)
                 if own.known is None:
@@ -346,13 +338,15 @@ def computed(
                 return
             found.values[fluent].add(value)
             if len(found.values[fluent]) > limit:
-                raise UnboundedError(fluent)
+                found.unbounded = fluent
+                return
             waiting.append((fluent, value))
 
     for fluent, value in begin.items():
-        reached(fluent, value)
+        if found.unbounded is None:
+            reached(fluent, value)
     for rule in rules:
-        if not rule.reads and (after := rule.result(())) is not None:
+        if found.unbounded is None and not rule.reads and (after := rule.result(())) is not None:
             reached(rule.fluent, after)
     active: dict[Fluent, list[Value]] = defaultdict(list)
     while position < len(waiting):
@@ -365,8 +359,10 @@ def computed(
                 steps += rule.work
                 if (after := rule.result(values)) is not None:
                     reached(rule.fluent, after)
+                if found.unbounded is not None:
+                    return found
             if steps > MOST_STEPS:
-                raise TooIntricateError
+                raise UnsuitedError("the sets of values are too expensive to compute")
     return found
 
 

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from ..grounding.task import Fact, Task
 from ..system.arrays import Ints, padded
+from ..system.errors import UnsuitedError
 
 Colors = NDArray[np.uint64]
 
@@ -77,12 +78,8 @@ def symmetries(
         return None
     try:
         return _Search(task, work, check).chain(max_levels, max_entries)
-    except _TooMuchWork:
+    except UnsuitedError:
         return None
-
-
-class _TooMuchWork(Exception):  # noqa: N818  not an error
-    pass
 
 
 def _mix(words: Colors) -> Colors:
@@ -139,7 +136,7 @@ class _Search:
         while True:
             self.work -= len(self.target)
             if self.work < 0:
-                raise _TooMuchWork
+                raise UnsuitedError
             self.check()
             colors = _mix(colors * np.uint64(3) + np.add.reduceat(_mix(colors[self.target] ^ self.salt), self.begin))
             before, classes = classes, len(np.unique(colors))
@@ -208,7 +205,7 @@ class _Search:
         cells: list[Ints] = []
         while len(cell := self._open(colors[-1])):
             if len(cells) == max_levels:
-                raise _TooMuchWork
+                raise UnsuitedError
             cells.append(cell)
             colors.append(self._marked(colors[-1], int(cell[0])))
         generators: list[Ints] = []
@@ -233,7 +230,7 @@ class _Search:
                 generators = own
                 levels.append(Level(_permutations(generators, fact, self.facts), orbits))
                 if sum(level.permutations.size for level in levels) > max_entries:
-                    raise _TooMuchWork
+                    raise UnsuitedError
         return Symmetries(self.first, tuple(reversed(levels))) if levels else None
 
 

@@ -6,11 +6,12 @@ import math
 from contextlib import suppress
 
 from ..grounding.task import Task
+from ..system.errors import UnsuitedError
 from ..system.limits import Budget, LimitError, MemoryLimitError
 from ..system.progress import Progress
 from .invariants import Mutexes
 from .kernels.ranked_successors import RankedOperators
-from .numbering import LOOKING, MANY, TOO_MUCH_MEMORY, SweepOptions, UnrankedError, moves_and_groups
+from .numbering import LOOKING, MANY, TOO_MUCH_MEMORY, SweepOptions, moves_and_groups
 from .ranked_index import RankedSpace
 from .search_space import SearchSpace, explore
 from .state_ranking import StateRanking
@@ -46,7 +47,7 @@ def explored(
             space = explore(_ranked(task, dense, moves, budget), budget, threads, progress)
         assert space is not None
         return space, None
-    except UnrankedError as error:
+    except UnsuitedError as error:
         space = registry()
         assert space is not None
         return space, f"swept without a ranking, which takes some ten times as long as with one: {error}"
@@ -58,7 +59,7 @@ def _plain(task: Task, budget: Budget) -> tuple[list[TNFOperator], StateRanking 
     try:
         return moves, StateRanking.of(task, groups, moves, budget.during(LOOKING))
     except (MemoryLimitError, MemoryError):
-        raise UnrankedError(TOO_MUCH_MEMORY) from None
+        raise UnsuitedError(TOO_MUCH_MEMORY) from None
 
 
 def _denser(
@@ -81,7 +82,7 @@ def _denser(
             budget.during(LOOKING)(0)
             why = "looking for a ranking took too long"
     if coding is None:
-        raise UnrankedError(why)
+        raise UnsuitedError(why)
     return moves, coding
 
 
@@ -95,4 +96,4 @@ def _ranked(task: Task, coding: StateRanking, moves: list[TNFOperator], budget: 
             left = left.beside(both[-1].table.nbytes + both[-1].candidates.sets.nbytes)
         return RankedSpace(coding, both[0], both[1], left, task.initial)
     except (MemoryLimitError, MemoryError):
-        raise UnrankedError("its ranking takes too much memory") from None
+        raise UnsuitedError("its ranking takes too much memory") from None

@@ -11,8 +11,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from ..grounding.task import Fact, Task
+from ..system.errors import UnsuitedError
 from ..system.limits import Budget, Check, MemoryLimitError, unchecked
-from .sorted_space import MOST_STATES, TooLargeError
+from .sorted_space import MOST_STATES
 from .transition_normal_form import TNFOperator, exactly_one, split_operators
 
 LOOKING = "a ranking was looked for"
@@ -102,21 +103,17 @@ class Digits:
         return cls(implied, tuple(variables), size, tuple(stride))
 
 
-class UnrankedError(Exception):
-    """A task has no ranking; the message says why."""
-
-
 def moves_and_groups(task: Task, budget: Budget) -> tuple[list[TNFOperator], list[frozenset[Fact]]]:
-    """Return the moves of a task, and groups of facts of which exactly one always holds; else an `UnrankedError`."""
+    """Return the moves of a task, and groups of facts of which exactly one always holds; else an `UnsuitedError`."""
     if any(variable.axiom_layer >= 0 for variable in task.variables):
-        raise UnrankedError("it has derived variables")
+        raise UnsuitedError("it has derived variables")
     try:
         moves = split_operators(task, budget.during("operators were split"))
         if moves is None:
-            raise UnrankedError("its operators split into very many moves")
+            raise UnsuitedError("its operators split into very many moves")
         groups, moves = exactly_one(task, moves, budget.during(LOOKING))
     except (MemoryLimitError, MemoryError):
-        raise UnrankedError(TOO_MUCH_MEMORY) from None
+        raise UnsuitedError(TOO_MUCH_MEMORY) from None
     return moves, groups
 
 
@@ -160,15 +157,15 @@ class SweepOptions:
 def strides(task: Task, transitions: int, budget: Budget, options: SweepOptions) -> Sequence[int] | None:
     """Return the factors of the variables in the ranks by which states are numbered; None if they are by layer.
 
-    `transitions` is the number of all transitions. If only a dense ranking decides, this raises a `TooLargeError`.
+    `transitions` is the number of all transitions. If only a dense ranking decides, this raises an `UnsuitedError`.
     """
     try:
         moves, groups = moves_and_groups(task, budget)
         digits = Digits.of(task, groups, moves, budget.during(LOOKING))
-    except (UnrankedError, MemoryLimitError, MemoryError):
+    except (UnsuitedError, MemoryLimitError, MemoryError):
         return None
     if transitions < options.most_by_layer(task, len(moves), digits.size):
         return None
     if digits.size > MANY:
-        raise TooLargeError
+        raise UnsuitedError
     return digits.stride

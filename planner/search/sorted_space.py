@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ..grounding.task import Fact, Task
 from ..system.arrays import Ints, Words, outline
+from ..system.errors import UnsuitedError
 from ..system.limits import Budget
 from .packing import Packing, Rule, axiom_stages, grouped, holds, possible_operators
 from .state_space import Part
@@ -39,10 +40,6 @@ TESTS_AT_A_TIME = 1 << 16
 
 Keys = NDArray[Any]
 """States as values that can be sorted: by their packed words, the first word first."""
-
-
-class TooLargeError(Exception):
-    """A task is not small."""
 
 
 def keys(states: Words) -> Keys:
@@ -70,12 +67,12 @@ class Successors(NamedTuple):
 
     @classmethod
     def of(cls, task: Task, packing: Packing) -> Successors:
-        """Return that of a task; a `TooLargeError` says that it is not small."""
+        """Return that of a task; an `UnsuitedError` says that it is not small."""
         order = possible_operators(task)
         rules = [grouped(task.operators[number].effects, packing) for number in order]
         shape = max(map(len, rules), default=0), len(order), packing.words
         if math.prod(shape) > MOST_TESTS >> 4:
-            raise TooLargeError
+            raise UnsuitedError
         when, bits, cleared, value = (np.zeros(shape, dtype=np.uint64) for _ in range(4))
         for place, own in enumerate(rules):
             for number, (_, masks) in enumerate(own):
@@ -188,7 +185,7 @@ def rows_of(offsets: Ints, numbers: Ints) -> Ints:
 
 
 class SortedSpace:
-    """The states of a small task for a search; a `TooLargeError` says that it is not small."""
+    """The states of a small task for a search; an `UnsuitedError` says that it is not small."""
 
     def __init__(self, task: Task, budget: Budget, most_states: int = MOST_STATES) -> None:
         self._packing, self._budget, self._most = Packing.of(task), budget, most_states
@@ -225,9 +222,9 @@ class SortedSpace:
         """Return the number of actions of each state, the operators of all actions, and the successors."""
         tests = len(self._operators.action) * self._packing.words * (len(self) + len(block))
         if len(self) > self._most or len(block) > MOST_IN_LAYER or len(self._layers) > MOST_LAYERS:
-            raise TooLargeError
+            raise UnsuitedError
         if tests > MOST_TESTS:
-            raise TooLargeError
+            raise UnsuitedError
         sources, operators = self._operators.applicable(block)
         self._budget.check_memory(self.nbytes + 32 * self._packing.words * len(sources))
         after = self._operators.apply(block[sources], operators)

@@ -36,16 +36,16 @@ class MissingExtraError(ImportError):
         super().__init__(f"{what} {package}: {sys.executable} -m pip install {source}")
 
 
-class ResultsExistError(ValueError):
-    """An output folder already contains results."""
-
-
 class MismatchError(AssertionError):
-    """Two computations of a cost disagree."""
+    """Two computations disagree: two costs, or a plan and the task that it should solve."""
+
+
+class UnsuitedError(Exception):
+    """A method is not for this task, as it would take too much. Its caller takes another one, or says what is large."""
 
 
 class InputFileError(ValueError):
-    """A file cannot be used: an invalid input, or results that are damaged or another program's.
+    """A file cannot be used: there is none, it is invalid or damaged, or it has results that would be overwritten.
 
     The message states the fault, its place and what is expected.
     """

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, TypeVar
 
-from .errors import InputFileError, ResultsExistError
+from .errors import InputFileError
 
 UNFINISHED = ".unfinished-"
 """Prefix of the temporary files of `atomic`."""
@@ -210,14 +210,14 @@ class ResumableFolder(Generic[Key]):
     """
 
     def __init__(self, results: Path, beside: Path, *, resume: bool) -> None:
-        """Name both files. Results without `resume` raise a `ResultsExistError`; `begun` says whether there are any."""
+        """Name both files. Results without `resume` raise a `InputFileError`; `begun` says whether there are any."""
         self._results, self._beside = results, beside
         self._folders: set[Path] = {results.parent}
         self.lines: dict[Key, str] = {}
         self.records: dict[Key, Mapping[str, Any]] = {}
         self.begun = results.exists() and results.stat().st_size > 0
         if self.begun and not resume:
-            raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
+            raise InputFileError(f"{results} exists; resume it, or choose another folder")
 
     def begin(
         self, lines: Mapping[Key, str], records: Mapping[Key, Mapping[str, Any]], folders: Iterable[Path] = ()

@@ -35,10 +35,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class WorkerDiedError(RuntimeError):
-    """A worker process ended during its work."""
-
-
 @dataclass(frozen=True)
 class Reporter:
     """Reports the progress of one item of work, by its number, to a pipe, or to nobody if there is no listener."""
@@ -274,16 +270,16 @@ def _outcome(work: Callable[..., Any], *arguments: Any) -> Any:
     except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
         outcome = error
     except BaseException as error:  # noqa: BLE001  SystemExit, for instance
-        return WorkerDiedError(f"the worker process was ended by {error!r}")
+        return ChildProcessError(f"the worker process was ended by {error!r}")
     try:
         pickle.loads(pickle.dumps(outcome))
     except Exception as error:  # noqa: BLE001  pickling may run any code of the outcome's classes
-        return WorkerDiedError(f"{outcome!r} cannot be sent to another process: {error}")
+        return ChildProcessError(f"{outcome!r} cannot be sent to another process: {error}")
     return outcome
 
 
-def _died(code: int) -> WorkerDiedError:
-    return WorkerDiedError(f"the worker process died with exit code {code}, probably out of memory")
+def _died(code: int) -> ChildProcessError:
+    return ChildProcessError(f"the worker process died with exit code {code}, probably out of memory")
 
 
 def _on_cluster(
@@ -303,7 +299,7 @@ def _on_cluster(
                 try:
                     outcome = future.result()
                 except KilledWorker:
-                    outcome = WorkerDiedError("its workers died, probably out of memory")
+                    outcome = ChildProcessError("its workers died, probably out of memory")
                 except Exception as error:  # noqa: BLE001  as above
                     outcome = error
                 yield futures[future], outcome

@@ -27,7 +27,7 @@ from assist.people.action_names import in_pddl
 from assist.person.settings import Setting
 from assist.web.server import ServedTeam
 from planner import Table
-from planner.system.errors import InputFileError, ResultsExistError
+from planner.system.errors import InputFileError
 
 __all__ = ["broker"]
 NAMES = [
@@ -218,14 +218,14 @@ def test_a_session_goes_on_with_as_many_people_as_it_began_with(tiny: Table, tmp
     session.leave("person-2")
     session.close()
     for humans in (1, 2, 4, 30):
-        with pytest.raises(ResultsExistError, match=f"began with 3 people, not {humans}; expected --humans 3"):
+        with pytest.raises(InputFileError, match=f"began with 3 people, not {humans}; expected --humans 3"):
             served(humans)
     session = served(3)
     assert session.people == ("person-1", "person-3", "eve")
     session.erase("person-3", "as asked")
     session.close()
     served(3).close()
-    with pytest.raises(ResultsExistError):
+    with pytest.raises(InputFileError):
         served(5)
 
 

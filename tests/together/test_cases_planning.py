@@ -24,7 +24,7 @@ from planner.costtogo.verification import check_plan
 from planner.grounding import fast_downward
 from planner.grounding.semantics import plan_cost
 from planner.pddl import validation
-from planner.pddl.validation import LATE, InvalidPlanError
+from planner.pddl.validation import LATE
 from planner.system.errors import MismatchError
 
 pytestmark = pytest.mark.cases
@@ -53,7 +53,7 @@ def test_a_second_reader_that_contradicts_makes_the_answer_invalid(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def rejects(*_: object) -> None:
-        raise InvalidPlanError("unified-planning's validator rejects the plan: so there")
+        raise MismatchError("unified-planning's validator rejects the plan: so there")
 
     monkeypatch.setattr(validation._Process, "asked", rejects)
     record = solve_instance(instance(TINY), SolveOptions(verify=1), tmp_path / "tiny")

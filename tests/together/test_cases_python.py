@@ -18,7 +18,6 @@ from assist.drawing import draw
 from assist.drawing.plots import expertise_figure
 from assist.learning import (
     Log,
-    LogError,
     calibrate,
     compare_models,
     fit_population,
@@ -31,6 +30,7 @@ from assist.learning import (
 from assist.people import TERMS, Choices
 from assist.person.person_problem import PersonProblem
 from planner import OnDemand, astar, cost_to_go, load, sweep, sweep_goals
+from planner.system.errors import InputFileError
 
 pytestmark = pytest.mark.cases
 
@@ -110,7 +110,7 @@ def test_a_log_with_other_columns_is_read_by_fit(tmp_path: Path) -> None:
     pandas.DataFrame(renamed).to_csv(tmp_path / "log.csv", index=False)
     for log in (tmp_path / "log.csv", renamed, pandas.DataFrame(renamed)):
         assert fit("kitting/tiny", log, columns={"person": "worker"})["bob"].actions == len(ACTIONS)
-    with pytest.raises(LogError, match=r"log.csv:1: no column is called person; .*columns=\{'person': NAME\}"):
+    with pytest.raises(InputFileError, match=r"log.csv:1: no column is called person; .*columns=\{'person': NAME\}"):
         fit("kitting/tiny", tmp_path / "log.csv")
     with pytest.raises(TypeError, match="columns: expected a file"):
         fit("kitting/tiny", LOG, columns={"person": "worker"})

@@ -22,11 +22,12 @@ from assist.connect.gymnasium import TeamEnv, TeamVectorEnv
 from assist.connect.pettingzoo import parallel_env
 from assist.connect.teams import Teams
 from assist.declare import InapplicableError
+from assist.declare.refusals import Refusal
 from assist.drawing.frames import episode_frames
 from assist.drawing.picture import Artist
 from assist.learning import comparison, logit_likelihood, population, replayed
 from assist.learning.fit import fit
-from assist.learning.log import Log, LogError
+from assist.learning.log import Log
 from assist.learning.maximum_likelihood import Method
 from assist.live.advice import Advice
 from assist.live.assistant import Assistant
@@ -35,7 +36,7 @@ from assist.live.events import Elapsed, Joined, Left
 from assist.live.record import TeamRecord
 from assist.live.team import Team
 from assist.people import user_code
-from assist.people.action_names import Matcher, UnmatchedError
+from assist.people.action_names import Matcher
 from assist.people.choice_model import boltzmann, value
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
@@ -61,6 +62,7 @@ from assist.web.tokens import AccessTokens
 from planner import OnDemand, PDDLError, Table, load
 from planner.engine import Engine
 from planner.grounding.translation import from_sas
+from planner.system.errors import InputFileError
 from planner.system.files import writable
 
 
@@ -225,11 +227,11 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     "one fold": (lambda _: comparison.folds_of(3, 1), ValueError, "folds 1: expected 2 or more"),
     "nothing done": (
         lambda _: Matcher(["(go)"]).slot((), np.array([0])),
-        UnmatchedError, "an empty action; nearest in",
+        Refusal, "an empty action; nearest in",
     ),
     "no choice": (
         lambda _: Matcher(["(go)"]).slot(("go",), np.array([], dtype=np.int32)),
-        UnmatchedError, "(go) is not applicable; a person can only wait here, (wait)",
+        Refusal, "(go) is not applicable; a person can only wait here, (wait)",
     ),
     "terms and goals": (
         lambda g: learned({"kit": g.table}, ACTIONS, model="terms"),
@@ -244,7 +246,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "family 'uniform': expected log-normal, which beta is taken to be where terms are",
     ),
     "no episode": (
-        lambda g: fit(g.table, Log((), people=frozenset({"ann"}))), LogError, "no episode can be used",
+        lambda g: fit(g.table, Log((), people=frozenset({"ann"}))), InputFileError, "no episode can be used",
     ),
     "no model of that name": (
         lambda _: comparison.Comparison((), np.zeros(0, dtype=np.int64), 0.95, ())["goals"], KeyError, "goals",

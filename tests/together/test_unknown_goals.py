@@ -29,7 +29,7 @@ from assist.team import Pool, simulate
 from assist.team.belief_trace import Watched
 from assist.team.questions import GoalQuestion, Questions, benefit
 from planner import LimitError, Table, sweep, sweep_goals
-from planner.system.errors import ResultsExistError
+from planner.system.errors import InputFileError
 
 PRIOR = {"a": 0.5, "b": 0.2, "c": 0.3}
 LAPSE, ETA = 0.01, 0.2
@@ -359,7 +359,7 @@ def test_a_session_keeps_goals(tmp_path: Path) -> None:
         session.close()
     assert seen[0] | {"history": None} == seen[1] | {"history": None}
     other = replace(TASKS["tiny"], prior={"a": 0.2, "b": 0.2, "c": 0.6})
-    with pytest.raises(ResultsExistError, match="another"):
+    with pytest.raises(InputFileError, match="another"):
         Session(other, tmp_path / "journal", setting=Setting(c_suggest=0.1))
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner import Instance, InstanceError, find_instances
+from planner import Instance, find_instances
 from planner.batch.results_folder import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
@@ -98,7 +98,7 @@ def plan_of(
         }
         for task in tasks.values():
             Artist(first_of(task).task)  # reports faults in a `drawing.toml` before a page is served
-    except InstanceError:
+    except InputFileError:
         raise
     except ValueError as error:
         raise click.UsageError(str(error)) from None

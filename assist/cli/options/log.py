@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import planner
 from planner import Instance, LimitError, Limits, find_instances
+from planner.system.errors import InputFileError
 from planner.system.limits import processors
 from planner.system.progress import progress_bar, stages
 
@@ -96,7 +97,7 @@ class ReadingOptions(NamedTuple):
     def replayed(self, file: Path, task: Any, **more: Any) -> Evidence:
         """Replay a log, as `learning.replayed` does; tell its faults. Expected errors end the command in one line."""
         from ...learning.evidence import replayed
-        from ...learning.log import LogError, told
+        from ...learning.log import told
 
         def tell(_: Log, faults: tuple[Fault, ...]) -> None:
             for line in told(faults, file):
@@ -109,7 +110,7 @@ class ReadingOptions(NamedTuple):
         tasks = task()
         try:
             found = replayed(tasks, log, tell=tell, drop=self.drop, rename=names, strict=self.strict, **more)
-        except LogError as error:
+        except InputFileError as error:
             fail(str(error), ExitCode.FAILED)
         except ValueError as error:
             raise click.UsageError(str(error)) from None

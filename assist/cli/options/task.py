@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 import planner
-from planner import Instance, InstanceError, find_instances
+from planner import InputFileError, Instance, find_instances
 from planner.system.compiling import compiling
 from planner.system.progress import compiling_line, stages
 
@@ -22,7 +22,7 @@ def one_instance(instance: str, domain: str | None) -> Instance:
     found = find_instances([instance], domain)
     if len(found) != 1:
         several = f"{len(found)} problems, such as {found[0]}"
-        raise InstanceError(f"{instance}: matches {several}; expected one of them")
+        raise InputFileError(f"{instance}: matches {several}; expected one of them")
     return found[0]
 
 

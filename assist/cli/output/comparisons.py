@@ -10,6 +10,7 @@ import click
 from rich.table import Table
 
 from planner.system import files
+from planner.system.errors import InputFileError
 from planner.system.progress import stages
 
 from ..terminal.console import ExitCode, fail, print_json, print_table
@@ -24,14 +25,13 @@ if TYPE_CHECKING:
 
 def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
     """Compare choice models on the people in a log. Expected errors end the command in one line."""
-    from ...learning.log import LogError
     from ...learning.model_comparison import compare_models
     from ...people.terms import TERMS
 
     try:
         with stages() as show:
             return compare_models(seen.observations(TERMS), method, folds=folds, progress=show)
-    except LogError as error:
+    except InputFileError as error:
         fail(f"{seen.log.name}: {error}", ExitCode.FAILED)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from planner.system import files
+from planner.system.errors import InputFileError
 from planner.system.limits import processors
 from planner.system.progress import stages
 
@@ -28,7 +29,6 @@ FEW_ACTIONS = 10_000
 def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs: int | None) -> FittedPeople:
     """Estimate the parameters of the people in a log. Expected errors end the command in one line."""
     from ...learning.fit import fit
-    from ...learning.log import LogError
     from ...people.user_code import UserCodeError
 
     if model in (None, "misconceptions"):
@@ -36,7 +36,7 @@ def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs
     try:
         with stages() as show:
             return fit(seen, method=method, model=model, seed=seed, jobs=jobs or processors(), progress=show)
-    except (LogError, UserCodeError) as error:
+    except (InputFileError, UserCodeError) as error:
         fail(str(error), ExitCode.FAILED)
 
 

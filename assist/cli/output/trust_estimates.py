@@ -10,6 +10,7 @@ import click
 from rich.table import Table
 
 from planner.system import files
+from planner.system.errors import InputFileError
 
 from ..terminal.console import ExitCode, fail, print_json, print_table
 from .people_estimates import write_population
@@ -25,12 +26,11 @@ def show_influence(
     seen: Evidence, rule: str, method: Method, carry: bool, out: Path | None, population: Path | None, *, as_json: bool
 ) -> bool:  # fmt: skip
     """Estimate influence under a rule. Return whether every line of the log was used."""
-    from ...learning.log import LogError
     from ...learning.trust_fit import fit_influence
 
     try:
         found = fit_influence(seen.observations(), rule, method, carry=carry)
-    except LogError as error:
+    except InputFileError as error:
         fail(f"{seen.log.name}: {error}", ExitCode.FAILED)
     if population:
         write_population(found.distribution(), population)

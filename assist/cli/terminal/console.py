@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import signal
 import sys
 from codecs import lookup
 from collections.abc import Callable, Iterator
@@ -13,9 +14,9 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO, cast
 
 import click
 
-from planner import InstanceError, LimitError, PDDLError
+from planner import LimitError, PDDLError
 from planner.grounding.fast_downward import FastDownwardError
-from planner.system.errors import InputFileError, MissingExtraError, ResultsExistError
+from planner.system.errors import InputFileError, MissingExtraError
 from planner.system.signs import VisibleText, visible
 from planner.system.threads import NO_MORE_THREADS
 
@@ -52,7 +53,7 @@ def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
     """Turn expected errors into one line on stderr and a documented exit code."""
     try:
         yield
-    except (InstanceError, ResultsExistError, InputFileError) as error:
+    except InputFileError as error:
         fail(str(error), ExitCode.USAGE)
     except (PDDLError, LimitError, FastDownwardError, MissingExtraError) as error:
         fail(str(error), ExitCode.FAILED)
@@ -92,8 +93,7 @@ def end_after_showing(error: KeyboardInterrupt) -> None:
 
 def _code_of(error: KeyboardInterrupt) -> int:
     """Return the exit code of an interrupted command, as shells report it: 128 and the number of the signal."""
-    code: int = getattr(error, "exit_code", 130)
-    return code
+    return 128 + int(error.args[0] if error.args else signal.SIGINT)
 
 
 def _said(error: OSError) -> str:

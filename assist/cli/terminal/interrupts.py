@@ -15,17 +15,9 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PATIENCE = 3.0  # seconds for cleaning up; users wait no longer, and finished results are already saved
 
 
-class Interrupted(KeyboardInterrupt):
-    """One of `SIGNALS` was received. `exit_code` is the code that a shell reports for it."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.exit_code = 128 + number
-
-
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Raise `Interrupted` at the first signal, and make sure that the process ends soon.
+    """Raise `KeyboardInterrupt(number)` at the first signal, and make sure that the process ends soon.
 
     The process exits at a second signal, or `PATIENCE` seconds after the first. Finished results are saved before. A
     signal that is ignored at the start stays ignored, as for background jobs of scripts and under `nohup`.
@@ -48,7 +40,7 @@ def interruptible() -> Iterator[None]:
         patience.append(threading.Timer(PATIENCE, end, (number,)))
         patience[0].daemon = True
         patience[0].start()
-        raise Interrupted(number)
+        raise KeyboardInterrupt(number)
 
     heard = {number: signal.getsignal(number) for number in SIGNALS}
     heard = {number: handler for number, handler in heard.items() if handler not in (signal.SIG_IGN, None)}

@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from .messages import MessageError
+from ...declare.refusals import Refusal
 from .transport import Drove, Output, Transport
 
 LOG = logging.getLogger(__name__)
@@ -99,7 +99,7 @@ class Errands:
         drive = uuid.uuid4().hex
         try:
             self._put(list(self._transport.drive(way.robot, to, drive)))
-        except MessageError as error:
+        except Refusal as error:
             LOG.warning("%s: robot %d is to go to %s, but %s", self._transport.name, way.robot, to, error)
             return
         way.drive = drive

@@ -111,7 +111,7 @@ class Bridge:
 
         Raises
         ------
-        RefusedError
+        Refusal
             The service does not accept the link.
         """
         self.put(self.transport.initially())

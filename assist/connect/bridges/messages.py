@@ -19,6 +19,7 @@ from pydantic_core import PydanticCustomError
 
 from ...declare import tables as toml
 from ...declare.declared import DeclarationError, Expected, Text, declared, spelt
+from ...declare.refusals import Refusal
 from ...declare.tables import convert, located, told
 from ...live.event_base import OfPerson, fault_of
 from ...live.events import kinds
@@ -33,8 +34,9 @@ WORD = re.compile(r"[^\s()]+")
 LONGEST_ID = 128  # characters, as the service accepts
 
 
-class MessageError(ValueError):
-    """A message that reports nothing usable; the text says why."""
+def unusable(why: str) -> Refusal:
+    """Return the refusal of a message that reports nothing usable, with its reason."""
+    return Refusal("other", why=why)
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ def filled(template: str, fields: Mapping[str, str], names: Mapping[str, str]) -
 
     Raises
     ------
-    MessageError
+    Refusal
         A field is missing, or its value is not one word.
     """
     alone = FIELD.fullmatch(template) is not None
@@ -112,10 +114,10 @@ def filled(template: str, fields: Mapping[str, str], names: Mapping[str, str]) -
     def value(found: re.Match[str]) -> str:
         given = fields.get(found[1])
         if given is None:
-            raise MessageError(f"there is no field {found[1]!r}; expected {', '.join(FIELD.findall(template))}")
+            raise unusable(f"there is no field {found[1]!r}; expected {', '.join(FIELD.findall(template))}")
         named = names.get(given, given)
         if not alone and not WORD.fullmatch(named):
-            raise MessageError(f"field {found[1]!r} is {given[:40]!r}; expected one word")
+            raise unusable(f"field {found[1]!r} is {given[:40]!r}; expected one word")
         return named
 
     return FIELD.sub(value, template)
@@ -126,7 +128,7 @@ def texts_of(content: Mapping[str, Any]) -> Fields:
 
     Raises
     ------
-    MessageError
+    Refusal
         A text has half a character (an escape in JSON), which cannot be sent.
     """
     found = {
@@ -138,7 +140,7 @@ def texts_of(content: Mapping[str, Any]) -> Fields:
         try:
             f"{name}{value}".encode()
         except UnicodeEncodeError:
-            raise MessageError(f"field {name[:40]!r} is {value[:40]!r}; expected Unicode text") from None
+            raise unusable(f"field {name[:40]!r} is {value[:40]!r}; expected Unicode text") from None
     return found
 
 
@@ -147,7 +149,7 @@ def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
 
     Raises
     ------
-    MessageError
+    Refusal
         It is neither.
     """
     try:
@@ -155,13 +157,13 @@ def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
         content = json.loads(text) if pattern is None else pattern.search(text)
     except (ValueError, RecursionError):  # a ValueError for integers of thousands of digits, too
         expected = "a JSON object" if pattern is None else "text"
-        raise MessageError(f"{payload[:40]!r}; expected {expected} in UTF-8") from None
+        raise unusable(f"{payload[:40]!r}; expected {expected} in UTF-8") from None
     if isinstance(content, re.Match):
         return {name: value for name, value in content.groupdict().items() if value is not None}
     if pattern is not None:
-        raise MessageError(f"{text[:40]!r} does not match {pattern.pattern}")
+        raise unusable(f"{text[:40]!r} does not match {pattern.pattern}")
     if not isinstance(content, dict):
-        raise MessageError(f"{text[:40]}; expected a JSON object")
+        raise unusable(f"{text[:40]}; expected a JSON object")
     return texts_of(content)
 
 
@@ -170,7 +172,7 @@ def fields_of_value(text: str, pattern: re.Pattern[str] | None = None) -> Fields
 
     Raises
     ------
-    MessageError
+    Refusal
         The text begins as an object and is none, or does not match the pattern.
     """
     if pattern is not None or text.lstrip().startswith("{"):
@@ -209,17 +211,17 @@ class Report:
 
         Raises
         ------
-        MessageError
+        Refusal
             The message has none that can be recorded.
         """
         if self.fault is not None:
-            raise MessageError(self.fault)
+            raise unusable(self.fault)
         kind: type[OfPerson] = kinds(OfPerson)[self.kind]
         given: dict[str, Any] = {**self.values, "person": self.person, "id": self.id}
         try:
             return _made(kind, given)
         except ValidationError as error:
-            raise MessageError(fault_of(kind, error, given)) from None
+            raise unusable(fault_of(kind, error, given)) from None
 
 
 def _made(kind: type[OfPerson], given: dict[str, Any]) -> OfPerson:
@@ -294,12 +296,12 @@ class Source:
 
         Raises
         ------
-        MessageError
+        Refusal
             The person, the id or a number is missing or unsuitable.
         """
         identifier = filled(self.id or "{id}", fields, {})
         if not 0 < len(identifier) <= LONGEST_ID:
-            raise MessageError(f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
+            raise unusable(f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
         person, number = filled(getattr(self, "person", "{person}"), fields, {}), self._whole("number", fields, 1)
         kind, seq = getattr(self, "event", "acted"), self._whole("seq", fields, 0)
         known = [*kinds(OfPerson)[kind].fields()]
@@ -309,7 +311,7 @@ class Source:
         values |= {} if seq is None else {"seq": str(seq)}
         try:
             values |= {"action": filled(self.action, fields, names)} if "action" in known else {}
-        except MessageError as error:
+        except Refusal as error:
             return Report(person, identifier, kind, values, number, str(error))
         return Report(person, identifier, kind, values, number)
 
@@ -320,7 +322,7 @@ class Source:
             return None
         text = filled(template, fields, {})
         if not re.fullmatch(r"\d{1,15}", text, re.ASCII) or int(text) < least:
-            raise MessageError(f"{template} is {text[:40]!r}; expected a whole number of {least} or more")
+            raise unusable(f"{template} is {text[:40]!r}; expected a whole number of {least} or more")
         return int(text)
 
 

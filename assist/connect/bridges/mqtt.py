@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import MissingExtraError
 
-from .messages import LONGEST_ID, MessageError, fields_of
+from ...declare.refusals import Refusal
+from .messages import LONGEST_ID, fields_of, unusable
 from .mqtt_settings import ADVICE, ROBOT, MqttSettings
 from .ordering import Acknowledgements
 from .transport import Answer, Faulty, Located, Message, Output, Reported, Resumed, Transport
@@ -185,14 +186,14 @@ class Mqtt(Transport):
         try:
             fields = source.fields(topic, payload)
             return Reported(source.report(fields, self.settings.names), done=done)
-        except MessageError as error:
+        except Refusal as error:
             return Faulty(str(error), fields.get("person"), fields.get("id"), done=done)
 
     def _after(self, topic: str, payload: bytes) -> Resumed | None:
         """Return where reports go on after an answer that the broker has kept, if it was given in this session."""
         answers = self.settings.answers
         own = None if answers is None else answers.topic.fields(topic)
-        with suppress(MessageError, ValueError):
+        with suppress(ValueError):
             fields = fields_of(payload)
             if own is not None and fields.get("session") == self.session and "next" in fields:
                 return Resumed(own["person"], int(fields["next"]))
@@ -201,9 +202,9 @@ class Mqtt(Transport):
     def _located(self, robot: str, payload: bytes, done: Any) -> Message:
         try:
             if robot not in map(str, range(1, self._count + 1)):
-                raise MessageError(f"robot {robot[:40]!r}; expected a number from 1 to {self._count}")
+                raise unusable(f"robot {robot[:40]!r}; expected a number from 1 to {self._count}")
             fields = fields_of(payload)
-        except MessageError as error:
+        except Refusal as error:
             LOG.warning("MQTT: arrival of a robot: %s", error)
             return Message(done=done)
         return Located(int(robot), fields.get("person"), fields.get("id"), done=done)

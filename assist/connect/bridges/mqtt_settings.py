@@ -54,7 +54,7 @@ class Observed(Source):
 
         Raises
         ------
-        MessageError
+        Refusal
             As in `fields_of`.
         """
         return {**fields_of(payload, self.pattern), **(self.topic.fields(topic) or {})}

@@ -21,7 +21,8 @@ from typing import Any
 
 from planner.system.errors import MissingExtraError
 
-from .messages import MessageError, fields_of_value
+from ...declare.refusals import Refusal
+from .messages import fields_of_value
 from .opcua_settings import Observed, OpcUaSettings, password
 from .transport import Answer, Faulty, Message, Output, Reported, Transport
 
@@ -162,7 +163,7 @@ class OpcUa(Transport):
                 at = data.SourceTimestamp or data.ServerTimestamp
                 fields["id"] = sha256(f"{observed.node} {at} {text}".encode()).hexdigest()
             return Reported(observed.report(fields, self.settings.names), observed.node)
-        except MessageError as error:
+        except Refusal as error:
             return Faulty(str(error), fields.get("person"), fields.get("id"), observed.node)
 
     # What goes where.

@@ -21,7 +21,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from .messages import LONGEST_ID, MessageError, Report, fields_of_value
+from ...declare.refusals import Refusal
+from .messages import LONGEST_ID, Report, fields_of_value
 from .opcua import library
 from .opcua_settings import OwnServerSettings, password
 from .transport import Answer, Located, Message, Output, Reported, Transport
@@ -221,7 +222,7 @@ class OwnServer(Transport):
             if identifier is not None:
                 fields["id"] = identifier
             return source.report(fields, self.settings.names)
-        except MessageError as error:
+        except Refusal as error:
             return Report(person, identifier or "", fault=str(error))
 
     # What goes where.

@@ -18,7 +18,7 @@ from typing import Any
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
-from .messages import MessageError
+from ...declare.refusals import Refusal
 from .mqtt_settings import ADVICE
 from .ros2_settings import ANSWER, STRING, Observed, Ros2Settings
 from .ros2_settings import Output as RosOutput
@@ -107,7 +107,7 @@ class Ros2(Transport):
         try:
             fields = observed.fields(message)
             return Reported(observed.report(dict(fields), self.settings.names))
-        except MessageError as error:
+        except Refusal as error:
             return Faulty(str(error), fields.get("person"), fields.get("id"))
 
     # What goes where.

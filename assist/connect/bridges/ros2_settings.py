@@ -10,17 +10,18 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field
 
 from ...declare.declared import AnyTable, Expected, Text, Texts, declared
+from ...declare.refusals import Refusal
 from .messages import (
     FIELD,
     BridgeSettings,
     EventKind,
     Fields,
-    MessageError,
     Source,
     Template,
     fields_of,
     require_among,
     texts_of,
+    unusable,
     wrong,
 )
 from .mqtt_settings import VIEW
@@ -82,7 +83,7 @@ class Observed(Source):
 
         Raises
         ------
-        MessageError
+        Refusal
             It is a String without a JSON object in it, or does not match the pattern.
         """
         if self.type == STRING:
@@ -118,12 +119,12 @@ class GoToAction:
 
         Raises
         ------
-        MessageError
+        Refusal
             The person has no place.
         """
         fields = {**self.places.get(person, {}), "person": person}
         if missing := sorted(_fields(self.goal) - set(fields)):
-            raise MessageError(f"go_to.places: {person!r} has no {' and no '.join(missing)}")
+            raise unusable(f"go_to.places: {person!r} has no {' and no '.join(missing)}")
         found: dict[str, Any] = _filled(self.goal, fields)
         return found
 
@@ -175,7 +176,7 @@ class Ros2Settings(BridgeSettings):
         for person in () if go_to is None else go_to.places:
             try:
                 go_to.goal_for(person)  # type: ignore[union-attr]
-            except MessageError as error:
+            except Refusal as error:
                 raise wrong(str(error).partition(": ")[2], "go_to", "places", person) from None
 
     @property

@@ -11,8 +11,9 @@ from urllib.parse import urlsplit
 
 import httpx2
 
+from ...declare.refusals import Refusal
 from ...live.event_base import Event
-from ...web.client import AGAIN, Client, EventReader, RefusedError, request_of
+from ...web.client import AGAIN, Client, EventReader, request_of
 
 
 class SessionClient:
@@ -55,7 +56,7 @@ class SessionClient:
 
         Raises
         ------
-        RefusedError
+        Refusal
             The service refused the request.
         """
         while True:
@@ -65,7 +66,7 @@ class SessionClient:
                 if answer.is_success:
                     return content
                 if answer.status_code not in AGAIN:
-                    raise RefusedError(answer.status_code, str(content["detail"]))
+                    raise Refusal.answered(answer.status_code, str(content["detail"]))
             except (httpx2.TransportError, KeyError, TypeError, json.JSONDecodeError):
                 pass  # no answer, or one of a proxy
             await asyncio.sleep(self._pause)
@@ -75,7 +76,7 @@ class SessionClient:
 
         Raises
         ------
-        RefusedError
+        Refusal
             The service refused it.
         """
         return await self.ask(*request_of(event))
@@ -85,7 +86,7 @@ class SessionClient:
 
         Raises
         ------
-        RefusedError
+        Refusal
             The service does not accept the link.
         """
         while True:
@@ -98,7 +99,7 @@ class SessionClient:
                                 yield found
                     elif answer.status_code not in AGAIN:
                         content = json.loads(await answer.aread())
-                        raise RefusedError(answer.status_code, str(content["detail"]))
+                        raise Refusal.answered(answer.status_code, str(content["detail"]))
             except (httpx2.TransportError, KeyError, TypeError, json.JSONDecodeError):
                 pass  # the stream was cut, or the answer is one of a proxy
             await asyncio.sleep(self._pause)

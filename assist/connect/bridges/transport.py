@@ -266,7 +266,7 @@ class Transport(ABC):
 
         Raises
         ------
-        MessageError
+        Refusal
             The robot cannot be sent there.
         """
         return ()

@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from planner.system.errors import InputFileError, ResultsExistError
+from planner.system.errors import InputFileError
 from planner.system.files import atomic
 
 from ..userstudy.export import REGISTERED
@@ -47,14 +47,14 @@ def register(study: UserStudy, folder: Path) -> dict[str, Any]:
 
     Raises
     ------
-    ResultsExistError
+    InputFileError
         The study has begun, or has been registered.
     """
     if (folder / JOURNAL).exists():
-        raise ResultsExistError(f"{folder / JOURNAL}: the study has begun; a registration comes first")
+        raise InputFileError(f"{folder / JOURNAL}: the study has begun; a registration comes first")
     if (folder / REGISTERED).exists():
         at = _recorded(folder / REGISTERED)["registered"]
-        raise ResultsExistError(
+        raise InputFileError(
             f"{folder / REGISTERED}: already registered at {at}; to register another plan, choose another folder"
         )
     record = {

@@ -14,8 +14,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from planner import Instance, InstanceError, find_instances
+from planner import Instance, find_instances
 from planner.pddl.instance_finder import bundled_files
+from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
 
 from ...declare.catalogue import FIRST, Catalogue, catalogue
@@ -232,7 +233,7 @@ def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instan
     known = [] if problem.exists() else bundled_files(name)
     try:
         found = find_instances(known or [problem])
-    except InstanceError as error:
+    except InputFileError as error:
         raise fault(file, place, str(error)) from None
     if len(found) != 1 or (not known and found[0].problem.name != problem.name):
         raise fault(file, place, f"'{name}' matches {len(found)} problems; expected the file of one")

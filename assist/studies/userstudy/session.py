@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from planner import CostToGo
-from planner.system.errors import ResultsExistError
+from planner.system.errors import InputFileError
 from planner.system.files import atomic, remove_unfinished
 
 from ...declare.refusals import Refusal
@@ -64,7 +64,7 @@ class StudySession(Session):
 
     Raises
     ------
-    ResultsExistError
+    InputFileError
         The folder belongs to a running study, to another study, or to this one before its file changed.
     InputFileError, OSError
         As in `Session`.
@@ -113,7 +113,7 @@ class StudySession(Session):
                 text = self.study.file.read_text(encoding="utf-8")
                 differs = first_difference(self._plan.read_text(encoding="utf-8"), text)
                 said += ", line {line} of which is '{after}', not '{before}'".format(**differs)
-            raise ResultsExistError(f"{said}; expected another folder")
+            raise InputFileError(f"{said}; expected another folder")
         super()._check(found, expected)
 
     def _anew(self) -> Cohort:

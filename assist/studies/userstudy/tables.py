@@ -195,7 +195,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     ------
     InputFileError
         The file is not the journal of a user study.
-    ResultsExistError
+    InputFileError
         It is that of another version.
     """
     header, records = stored(journal)

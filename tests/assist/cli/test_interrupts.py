@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 
 from assist.cli import main
 from assist.cli.terminal.console import one_line_errors
-from assist.cli.terminal.interrupts import PATIENCE, SIGNALS, Interrupted, interruptible
+from assist.cli.terminal.interrupts import PATIENCE, SIGNALS, interruptible
 
 WAITING = """
 import os
@@ -136,7 +136,7 @@ def test_handlers_are_given_back() -> None:
         (FileNotFoundError(2, "No such file or directory", "x.pddl"), 1, "x.pddl: No such file or directory"),
         (BrokenPipeError(32, "Broken pipe", "pipe"), 1, "pipe: Broken pipe"),
         (MemoryError(), 1, "out of memory"),
-        (Interrupted(signal.SIGHUP), 129, "interrupted"),
+        (KeyboardInterrupt(signal.SIGHUP), 129, "interrupted"),
         (KeyboardInterrupt(), 130, "interrupted"),
         (RuntimeError("can't start new thread"), 1, "out of memory: can't start new thread"),
     ],
@@ -167,7 +167,7 @@ def test_the_version_is_said() -> None:
 def test_what_is_no_signal_passes_through() -> None:
     with pytest.raises(KeyboardInterrupt) as raised, interruptible():
         raise KeyboardInterrupt
-    assert not isinstance(raised.value, Interrupted)
+    assert not raised.value.args
     before = signal.getsignal(signal.SIGINT)
 
     def in_a_thread() -> object:  # where signal handlers cannot be set

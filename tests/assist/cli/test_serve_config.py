@@ -29,7 +29,7 @@ from assist.declare.options import FieldOption, Given, printed
 from assist.live import Session
 from assist.person.settings import Setting
 from planner.system.compiling import announce
-from planner.system.errors import ResultsExistError
+from planner.system.errors import InputFileError
 from planner.system.progress import compiling_line
 
 FAR = [[0.0, 5.0, 1.0], [5.0, 0.0, 5.0], [1.0, 5.0, 0.0]]
@@ -217,7 +217,7 @@ def test_changed_distances_are_restored_and_required(tmp_path: Path) -> None:
     again = Session(table, file, setting=setting, distance=FAR)
     assert (again.beliefs(), again.distance, again.recommend()) == (before, FAR, advice)
     again.close()
-    with pytest.raises(ResultsExistError, match="distance"):
+    with pytest.raises(InputFileError, match="distance"):
         Session(table, file, setting=setting, distance=NEAR)
 
 

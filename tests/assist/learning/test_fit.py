@@ -20,7 +20,7 @@ from scipy.stats import kstest
 
 from assist import Pool, fit, simulate
 from assist.cli import main
-from assist.learning import Log, LogError, misconception_fit
+from assist.learning import Log, misconception_fit
 from assist.learning.diagnostics import calibrate, check
 from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import log_likelihood
@@ -38,6 +38,7 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.settings import Setting
 from planner import LimitError, Table, Task
 from planner.costtogo import on_demand
+from planner.system.errors import InputFileError
 
 
 @pytest.fixture(scope="module")
@@ -505,5 +506,5 @@ def test_what_a_log_may_be_asked_is_checked(tiny: Table) -> None:
     with pytest.warns(UserWarning, match=re.escape("'hint' is not read; --columns suggestion=hint (in Python")):
         fit(tiny, [{**row, "hint": "fetch box-b"}])
     needed = "no episode can be used; line 1: .*expected a whole number, or --set gaps=true .in Python gaps=True."
-    with pytest.raises(LogError, match=needed), pytest.warns(UserWarning, match="expected a whole number"):
+    with pytest.raises(InputFileError, match=needed), pytest.warns(UserWarning, match="expected a whole number"):
         fit(tiny, [{**row, "step": 6.5}])

@@ -14,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of
 
+from assist.declare.refusals import Refusal
 from assist.learning.log import Log, read_log, told
 from assist.learning.log_files import DASHES, MISSING
 from assist.learning.replay import replay
-from assist.people.action_names import UnmatchedError, words_of
+from assist.people.action_names import words_of
 from planner import Table, load, sweep
 from planner.system.signs import plain
 
@@ -486,7 +487,7 @@ def test_actions_without_arguments(text: str) -> None:
 @pytest.mark.parametrize("text", ["(place hammer", "place hammer)", "((place hammer))", "place(hammer", "place(a)(b)",
                                   "(place (hammer))", ")place(", "place(hammer) slot"])  # fmt: skip
 def test_brackets_that_are_not_those_of_one_action(text: str) -> None:
-    with pytest.raises(UnmatchedError, match=r"brackets"):
+    with pytest.raises(Refusal, match=r"brackets"):
         words_of(text)
 
 

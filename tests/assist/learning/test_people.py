@@ -14,9 +14,10 @@ from recorded import FETCH, WRONG, lines, people_at_work, write_log
 from assist.cli import main
 from assist.learning.fit import FittedPeople, fit
 from assist.learning.likelihood import Method
-from assist.learning.log import Log, LogError, read_log
+from assist.learning.log import Log, read_log
 from assist.people.choices import Choices
 from planner import OnDemand, Table
+from planner.system.errors import InputFileError
 
 TINY = KITTING / "tiny.pddl"
 PLAN = kit("tiny").optimal_plan() or []
@@ -59,13 +60,13 @@ def test_what_cannot_be_used_is_not_passed_over(tiny: Table) -> None:
     assert (list(people), list(people.unknown), len(people.faults)) == (["ann"], ["bob", "cyd"], 2)
     assert not people.complete
     assert [record["error"] for record in people.as_dicts()] == [None, *["no episode can be used"] * 2]
-    with pytest.raises(LogError, match="log:8: person 'bob'"):
+    with pytest.raises(InputFileError, match="log:8: person 'bob'"):
         fit(tiny, log, strict=True)
-    with pytest.raises(LogError, match="log: no recorded actions"):
+    with pytest.raises(InputFileError, match="log: no recorded actions"):
         fit(tiny, Log.of([]))
     with (
         pytest.warns(UserWarning, match="log:1") as warned,
-        pytest.raises(LogError, match="is it the log of another instance"),
+        pytest.raises(InputFileError, match="is it the log of another instance"),
     ):
         fit(tiny, Log.of(lines("(stack a b)")))
     assert warned[0].filename == __file__  # where it was asked for

@@ -19,7 +19,6 @@ from assist.learning.comparison import Comparison
 from assist.learning.influence_population import InfluencePopulation
 from assist.learning.intervals import equal_tailed
 from assist.learning.likelihood_table import LikelihoodTable
-from assist.learning.log import LogError
 from assist.learning.population import trust_of
 from assist.learning.posterior_sample import PosteriorSample, posterior_covariance
 from assist.learning.rule_comparison import compare_rules
@@ -39,6 +38,7 @@ from assist.people.trust_rules import (
     outcome_at_disagreement,
     rule_of,
 )
+from planner.system.errors import InputFileError
 
 SIMULATED: Any = importlib.import_module("simulated_people")
 
@@ -228,7 +228,7 @@ def test_held_out_people_are_predicted_from_the_others() -> None:
 
 def test_what_cannot_be_compared_is_refused() -> None:
     observations = seen(recorded(constant(), 2, 5, 0))
-    with pytest.raises(LogError, match="one person"):
+    with pytest.raises(InputFileError, match="one person"):
         compare_rules(observations[:1])
     with pytest.raises(ValueError, match="folds 1: expected 2 or more"):
         compare_rules(observations, folds=1)

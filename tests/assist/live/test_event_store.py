@@ -32,7 +32,7 @@ from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import StudySession
 from assist.studies.userstudy.tables import tables
 from planner import Table
-from planner.system.errors import ResultsExistError
+from planner.system.errors import InputFileError
 
 
 def content(folder: Path) -> bytes:
@@ -332,7 +332,7 @@ def test_events_have_the_time_and_files_are_the_owners(tiny: Table, tmp_path: Pa
     files = list((tmp_path / "session").iterdir())
     assert {file.suffix for file in files} >= {".sqlite", ".sqlite-wal", ".lock"}
     assert [file.name for file in files if file.stat().st_mode & 0o077] == []
-    with pytest.raises(ResultsExistError, match="the folder is in use by a running session; expected another folder"):
+    with pytest.raises(InputFileError, match="the folder is in use by a running session; expected another folder"):
         EventStore(tmp_path / "session" / "journal.sqlite", TeamRecord)
     session.close()
 

@@ -28,7 +28,7 @@ from assist.live.store import JournalError, stored
 from assist.live.team import Team
 from assist.person.settings import Setting
 from planner import Table
-from planner.system.errors import InputFileError, ResultsExistError
+from planner.system.errors import InputFileError
 
 
 @pytest.fixture
@@ -325,18 +325,18 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
 ) -> None:
     session = opened()
     file = tmp_path / "journal.sqlite"
-    with pytest.raises(ResultsExistError, match="in use by a running session"):
+    with pytest.raises(InputFileError, match="in use by a running session"):
         Session(fixed, file)
     session.join("ann")
     session.close()
     before, other = r"the session there is of the task tiny \(\S+tiny\.pddl\)", r"paper-fixed\.pddl\)"
-    with pytest.raises(ResultsExistError, match=rf"{before}, .*not other \(\S+{other}; expected the same, or another"):
+    with pytest.raises(InputFileError, match=rf"{before}, .*not other \(\S+{other}; expected the same, or another"):
         Session({"other": fixed}, file, setting=SETTING, population=EASY)
-    with pytest.raises(ResultsExistError, match=r"has setting c_suggest 0\.02, not 1\.0"):
+    with pytest.raises(InputFileError, match=r"has setting c_suggest 0\.02, not 1\.0"):
         opened(setting=Setting())
     with closing(sqlite3.connect(file)) as db, db:
         db.execute("""UPDATE header SET document = json_set(document, '$.tasks.tiny', 'another')""")
-    with pytest.raises(ResultsExistError, match=r"the task tiny is another than when the session began; expected the"):
+    with pytest.raises(InputFileError, match=r"the task tiny is another than when the session began; expected the"):
         opened()
 
 
@@ -411,14 +411,14 @@ def test_a_folder_of_an_earlier_version_is_refused_in_one_line_that_names_it(
             """UPDATE header SET document =
             json_remove(json_set(document, '$.format', 'kitassist session 1'), '$.version')"""
         )
-    with pytest.raises(ResultsExistError, match=r"recorded by kitassist 1\.0, and only that version reads it") as error:
+    with pytest.raises(InputFileError, match=r"recorded by kitassist 1\.0, and only that version reads it") as error:
         opened()
     assert "\n" not in str(error.value)
 
 
 def test_a_folder_with_a_journal_of_lines_is_refused(opened: Callable[..., Session], tmp_path: Path) -> None:
     (tmp_path / "journal.jsonl").write_text("{}\n")
-    with pytest.raises(ResultsExistError, match=r"journal\.jsonl: was recorded by kitassist 1\.0, and only"):
+    with pytest.raises(InputFileError, match=r"journal\.jsonl: was recorded by kitassist 1\.0, and only"):
         opened()
     assert sorted(file.name for file in tmp_path.iterdir()) == ["journal.jsonl"]
 

@@ -11,7 +11,8 @@ from conftest import DOMAINS, KITTING, kit, table_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.people import ActionRecovery, FactChange, UnmatchedError
+from assist.declare.refusals import Refusal
+from assist.people import ActionRecovery, FactChange
 from planner import Instance
 
 TASKS = [
@@ -105,13 +106,13 @@ def test_the_explanations_are_all_that_there_are() -> None:
 def test_facts_may_be_written_as_people_write_them() -> None:
     tiny = ActionRecovery(kit("tiny"))
     written = ["(NOT (in-storage box-b))", "on-platform(box-b)", FactChange("( not-a-fact )", True)]
-    with pytest.raises(UnmatchedError, match=r"\(not-a-fact\) is no visible fact"):
+    with pytest.raises(Refusal, match=r"\(not-a-fact\) is no visible fact"):
         tiny.recover(0, written)
     written[-1] = FactChange("platform-free", False)
     assert tiny.recover(tiny.known.initial, written).actions == ("(fetch box-b)",)
-    with pytest.raises(UnmatchedError, match=r"did you mean \(on-platform box-b\)"):
+    with pytest.raises(Refusal, match=r"did you mean \(on-platform box-b\)"):
         tiny.recover(0, ["(on-platfrom box-b)"])
-    with pytest.raises(UnmatchedError, match="expected"):
+    with pytest.raises(Refusal, match="expected"):
         tiny.recover(0, ["(on-platform (box-b)"])
 
 
@@ -132,9 +133,9 @@ def test_what_is_impossible_or_ambiguous_is_said_and_not_guessed() -> None:
 def test_sensors_may_see_some_predicates_only() -> None:
     tiny = ActionRecovery(kit("tiny"), predicates=["on-platform"])
     assert tiny.recover(tiny.known.initial, ["(on-platform box-a)"]).actions == ("(fetch box-a)",)
-    with pytest.raises(UnmatchedError, match="no visible fact"):
+    with pytest.raises(Refusal, match="no visible fact"):
         tiny.recover(tiny.known.initial, ["(not (platform-free))"])
-    with pytest.raises(UnmatchedError, match="no fact of this predicate"):
+    with pytest.raises(Refusal, match="no fact of this predicate"):
         ActionRecovery(kit("tiny"), predicates=["on-platfrom"])
 
 

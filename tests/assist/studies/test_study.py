@@ -21,7 +21,7 @@ from assist.studies.protocol import read
 from assist.studies.reports.study_report import write_report
 from assist.studies.runner import load_study, profile, run_study
 from assist.studies.study import Study
-from planner.system.errors import InputFileError, ResultsExistError
+from planner.system.errors import InputFileError
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_repeats_can_be_added_and_another_study_is_refused(
     assert "## Sensitivity" in (out / "report.md").read_text()
     assert run_study(study, out, jobs=2, resume=True) == []
     assert (out / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
-    with pytest.raises(ResultsExistError, match="exists; resume it, or choose another folder"):
+    with pytest.raises(InputFileError, match="exists; resume it, or choose another folder"):
         run_study(study, out)
     with pytest.raises(InputFileError, match="expected --repeats 3 or more"):
         run_study(read(study.file, repeats=2), out, resume=True)

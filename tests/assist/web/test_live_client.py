@@ -15,7 +15,8 @@ import pytest
 from serving import served
 
 from assist.connect.bridges.session_client import SessionClient
-from assist.web.client import Client, RefusedError
+from assist.declare.refusals import Refusal
+from assist.web.client import Client
 
 PAGE = b"<html><h1>Bad Gateway</h1></html>"
 
@@ -63,7 +64,7 @@ def test_a_report_is_sent_until_the_proxy_reaches_the_service(proxy: Proxy) -> N
 
 @pytest.mark.parametrize("proxy", [(404,)], indirect=True)
 def test_a_refusal_without_json_is_one_sentence(proxy: Proxy) -> None:
-    with pytest.raises(RefusedError, match="404 Not Found"):
+    with pytest.raises(Refusal, match="404 Not Found"):
         Client(proxy.link).observe("ann", "(fetch box-a)")
 
 
@@ -108,7 +109,7 @@ def test_a_watcher_waits_for_a_service_that_a_proxy_does_not_reach(status: int, 
         if is_restored:
             assert [next(watched), next(watched)] == [{"seq": 1}, {"seq": 2}]  # also after a stream that ends
         else:
-            with pytest.raises(RefusedError, match="403") as refused:
+            with pytest.raises(Refusal, match="403") as refused:
                 next(watched)
             assert refused.value.status == 403
 

@@ -9,7 +9,8 @@ import pytest
 from conftest import ROOT
 from serving import served
 
-from assist.web.client import Client, RefusedError
+from assist.declare.refusals import Refusal
+from assist.web.client import Client
 
 EXAMPLES = ROOT / "docs" / "examples"
 
@@ -47,10 +48,10 @@ def test_the_client_says_what_was_refused_and_tries_again_what_passes() -> None:
         watched = ann.watch()
         assert next(watched)["steps"] == 0
         assert ann.observe("person-1", "(fetch box-a)")["steps"] == next(watched)["steps"] == 1
-        with pytest.raises(RefusedError, match="not applicable here") as refused:
+        with pytest.raises(Refusal, match="not applicable here") as refused:
             ann.observe("person-1", "(fetch box-b)")
         assert refused.value.status == 409
-        with pytest.raises(RefusedError, match="only the operator may do this"):
+        with pytest.raises(Refusal, match="only the operator may do this"):
             ann.team()
         operator = Client(service.operator)
         bob = Client(operator.join("bob")["join"])
@@ -58,7 +59,7 @@ def test_the_client_says_what_was_refused_and_tries_again_what_passes() -> None:
         operator.pause()
         assert bob.see()["paused"]
         operator.leave("bob")
-        with pytest.raises(RefusedError, match="'bob' is not in the team"):
+        with pytest.raises(Refusal, match="'bob' is not in the team"):
             bob.see()
         assert [row["action"] for row in operator.log()] == ["(fetch box-a)"]
         assert operator.arrived("person-1")["location"] == "person-1"

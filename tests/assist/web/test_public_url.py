@@ -21,13 +21,14 @@ from streams import opened
 from test_live_pages import CHROMIUM, chromium
 from userstudies import PLAN, written
 
+from assist.declare.refusals import Refusal
 from assist.live.events import Joined
 from assist.live.session import Session
 from assist.person.settings import Setting
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import StudySession
 from assist.web.app import make_app
-from assist.web.client import Client, RefusedError
+from assist.web.client import Client
 from assist.web.server import server_of
 from assist.web.service import Service
 from assist.web.tokens import VISITOR, AccessTokens, public_address
@@ -160,7 +161,7 @@ def test_a_client_takes_links_with_a_path(strips: bool, tiny: Table, tmp_path: P
         assert Client(operator.join("operator")["join"]).see()["person"] == "operator"
         assert [person["person"] for person in operator.team()["people"]] == ["ann", "bob", "operator"]
         assert [row["action"] for row in operator.log()] == ["(fetch box-a)"]
-        with pytest.raises(RefusedError, match="another person"):
+        with pytest.raises(Refusal, match="another person"):
             ann.see("bob")
 
 

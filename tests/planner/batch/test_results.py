@@ -19,7 +19,6 @@ from planner.batch import solve_batch as batch
 from planner.batch.results_folder import Results, SolveOptions
 from planner.batch.solve_batch import solve_batch
 from planner.batch.solve_instance import solve_instance
-from planner.system.workers import WorkerDiedError
 
 OPTIONS = SolveOptions(verify=1)
 DOMAIN, TINY = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
@@ -175,7 +174,7 @@ def test_results_of_something_else_are_refused(content: bytes, place: str, tmp_p
 
 
 def test_an_instance_whose_worker_ends_does_not_end_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ends = [TimeoutError(), WorkerDiedError("the worker process died with exit code -9"), RuntimeError("a fault")]
+    ends = [TimeoutError(), ChildProcessError("the worker process died with exit code -9"), RuntimeError("a fault")]
     instances = [write_instance(tmp_path / str(number), DOMAIN, TINY) for number in range(len(ends))]
 
     def outcomes(_: object, items: list, *__: object, **___: object) -> Iterator[tuple]:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from conftest import KITTING, invoke
 
-from planner import InstanceError, PDDLError, find_instances, instance, load
+from planner import PDDLError, find_instances, instance, load
+from planner.system.errors import InputFileError
 
 DOMAIN, PROBLEM = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
 
@@ -149,7 +150,7 @@ def test_domains_in_a_folder_are_no_problems(tmp_path: Path) -> None:
     ]
     assert find_instances([tmp_path]) == find_instances([f"{tmp_path}/**/*.pddl"])
     assert find_instances([tmp_path / "a"]) == find_instances(sorted((tmp_path / "a").iterdir()))
-    with pytest.raises(InstanceError, match="no problem file"):
+    with pytest.raises(InputFileError, match="no problem file"):
         find_instances([tmp_path / "domains"])
 
 

@@ -9,8 +9,9 @@ from click.testing import CliRunner
 from conftest import KITTING, kitassist, understood, write_instance
 
 from assist.cli import main
-from planner import InstanceError, PDDLError, find_instances, load
-from planner.pddl.validation import InvalidPlanError, validate
+from planner import PDDLError, find_instances, load
+from planner.pddl.validation import validate
+from planner.system.errors import InputFileError, MismatchError
 
 DOMAIN = (KITTING / "domain.pddl").read_text()
 PROBLEM = (KITTING / "tiny.pddl").read_text()
@@ -197,11 +198,11 @@ def test_find_instances(tmp_path: Path) -> None:
     assert find_instances([f"{tmp_path}/*/p*.pddl"]) == [first]
     assert find_instances([f"{tmp_path}/**/*.pddl"]) == [first, second]
     assert find_instances([first.problem], second.domain)[0].domain == second.domain
-    with pytest.raises(InstanceError, match="no such file"):
+    with pytest.raises(InputFileError, match="no such file"):
         find_instances([tmp_path / "absent"])
 
 
 def test_an_invalid_plan_is_rejected(tmp_path: Path) -> None:
     problem = understood(write_instance(tmp_path, DOMAIN, PROBLEM))
-    with pytest.raises(InvalidPlanError):
+    with pytest.raises(MismatchError):
         validate(problem, ["(fetch box-a)", "(return box-a)"])

@@ -14,7 +14,8 @@ from conftest import write_instance
 
 from planner import PDDLError, instance, load, sweep
 from planner.pddl.reader import read
-from planner.pddl.validation import LATE, InvalidPlanError, SecondReader
+from planner.pddl.validation import LATE, SecondReader
+from planner.system.errors import MismatchError
 
 DOMAIN = """(define (domain sorting)
   (:requirements :strips :typing :action-costs)
@@ -155,7 +156,7 @@ def test_a_second_reader_that_dies_or_hangs_gives_a_reason() -> None:
             assert second.answer(seconds) == reason
     with SecondReader(reading) as second:
         second.ask([])
-        with pytest.raises(InvalidPlanError):
+        with pytest.raises(MismatchError):
             second.answer(60.0)
 
 

@@ -14,7 +14,7 @@ from random_numeric import draw
 
 from planner.pddl.instances import Instance
 from planner.pddl.plan_execution import execute
-from planner.pddl.validation import InvalidPlanError
+from planner.system.errors import MismatchError
 
 DOMAIN = """(define (domain cell) (:requirements :durative-actions :numeric-fluents) (:types bin tray)
 (:predicates (lit) (ready ?t - tray)) (:functions (stock ?b - bin) (weight ?t - tray) (speed) (spare ?b - bin))
@@ -63,7 +63,7 @@ def test_a_plan_costs_what_the_metric_says(tmp_path: Path, metric: str, cost: Fr
     ],
 )
 def test_a_plan_that_is_none_is_refused(tmp_path: Path, plan: list[str], message: str) -> None:
-    with pytest.raises(InvalidPlanError, match=message):
+    with pytest.raises(MismatchError, match=message):
         execute(files(tmp_path, DOMAIN, PROBLEM.replace("METRIC", "")), plan)
 
 
@@ -77,7 +77,7 @@ def test_derived_predicates_follow_numbers(tmp_path: Path) -> None:
     instance = files(tmp_path, domain, problem)
     assert execute(instance, ["(add a)", "(add b)", "(end a b)"]).cost == 3
     for wrong in (["(add a)", "(add a)"], ["(add a)", "(end a b)"]):
-        with pytest.raises(InvalidPlanError, match=r"step 1: .* is not applicable"):
+        with pytest.raises(MismatchError, match=r"step 1: .* is not applicable"):
             execute(instance, wrong)
 
 
@@ -117,7 +117,7 @@ def test_random_plans_are_judged_as_by_a_direct_search(tmp_path: Path) -> None:
                 if expected is not None:
                     assert execute(instance, plan).cost == expected
                 else:
-                    with pytest.raises(InvalidPlanError):
+                    with pytest.raises(MismatchError):
                         execute(instance, plan)
                 right, wrong = right + (expected is not None), wrong + (expected is None)
         except UnsupportedError:

@@ -11,8 +11,9 @@ import pytest
 from conftest import DOMAINS, KITTING, ROOT, SHIPPED, invoke
 
 from assist.cli import main
-from planner import InstanceError, PDDLError, find_instances, instance, load
+from planner import PDDLError, find_instances, instance, load
 from planner.pddl.instance_finder import bundled_tasks
+from planner.system.errors import InputFileError
 
 
 @pytest.fixture(autouse=True)
@@ -37,11 +38,11 @@ def test_a_file_comes_before_the_task_of_its_name(elsewhere: Path) -> None:
 
 
 def test_a_name_that_is_nearly_right_is_answered_with_those_that_are() -> None:
-    with pytest.raises(InstanceError, match=r"^kiting/tinny: no such .*; with the package come kitting/tiny$"):
+    with pytest.raises(InputFileError, match=r"^kiting/tinny: no such .*; with the package come kitting/tiny$"):
         find_instances(["kiting/tinny"])
     with pytest.raises(PDDLError, match=r"^paper: no such problem file; with the package come kitting/paper$"):
         load("paper")
-    with pytest.raises(InstanceError, match=r"^something/else: no such file or folder$"):
+    with pytest.raises(InputFileError, match=r"^something/else: no such file or folder$"):
         find_instances(["something/else"])
 
 
@@ -50,16 +51,16 @@ def test_a_folder_of_the_package_stands_for_all_of_its_tasks(elsewhere: Path) ->
     assert find_instances(["kitting/costs/"]) == find_instances([KITTING / "costs"])
     assert len(find_instances(["kitting", "kitting/tiny"])) == len(find_instances([KITTING]))
     for wrong, near in (("blcks", "blocks"), ("kitting/cost", "kitting/costs")):
-        with pytest.raises(InstanceError, match=rf"^{wrong}: no such file or folder; with the package come {near}"):
+        with pytest.raises(InputFileError, match=rf"^{wrong}: no such file or folder; with the package come {near}"):
             find_instances([wrong])
     with pytest.raises(PDDLError, match=r"^blocks: no such problem file; with the package come blocks/\S+, blocks/\S+"):
         load("blocks")
     for empty in ("", "."):
-        with pytest.raises(InstanceError):
+        with pytest.raises(InputFileError):
             find_instances([empty])
     (elsewhere / "blocks").mkdir()
     with pytest.raises(
-        InstanceError, match=r"^blocks: no problem file"
+        InputFileError, match=r"^blocks: no problem file"
     ):  # a folder in the working directory comes first
         find_instances(["blocks"])
 

@@ -14,7 +14,7 @@ from planner.system.processes import python
 
 ENDS = """
 import os, signal, sys, threading, time
-from planner.system.workers import WorkerDiedError, outcomes
+from planner.system.workers import outcomes
 
 class Twofold(Exception):
     def __init__(self, a, b):  # pickle calls it with one argument
@@ -47,11 +47,11 @@ if __name__ == "__main__":
     assert found.pop("answers")[1] == "answers"
     assert set(found) == set(DEATHS)
     for what, death in found.items():
-        assert isinstance(death, WorkerDiedError), (what, death)
+        assert isinstance(death, ChildProcessError), (what, death)
     (_, (own, _)), (_, fault) = outcomes(work, ["answers", "fails"], jobs=0)
     assert own != os.getpid() and repr(fault) == "ValueError('fails')"
     ((_, death),) = outcomes(work, ["dies"], jobs=0)
-    assert isinstance(death, WorkerDiedError), death
+    assert isinstance(death, ChildProcessError), death
     sys.modules["numba"] = None
     ((_, (own, _)),) = outcomes(work, ["answers"], jobs=0)
     assert own == os.getpid()

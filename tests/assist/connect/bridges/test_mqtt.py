@@ -31,12 +31,13 @@ from test_docs import BLOCK
 from assist.cli import main
 from assist.cli.options.live import bridge_of
 from assist.connect.bridges.kernel import Bridge
-from assist.connect.bridges.messages import MessageError, Report, Topic, fields_of, filled
+from assist.connect.bridges.messages import Report, Topic, fields_of, filled
 from assist.connect.bridges.mqtt import Mqtt
 from assist.connect.bridges.mqtt_settings import MqttSettings, Observed
 from assist.connect.bridges.opcua_settings import OpcUaSettings, OwnServerSettings
 from assist.connect.bridges.ordering import Acknowledgements, InOrder
 from assist.connect.bridges.ros2_settings import Ros2Settings
+from assist.declare.refusals import Refusal
 from assist.live import Joined, Left, Session
 from assist.person.settings import Setting
 from assist.web.app import make_app
@@ -656,14 +657,14 @@ def test_templates_take_words_only() -> None:
     assert filled("(put {what} {where})", {"what": "17", "where": "b"}, {"17": "hammer"}) == "(put hammer b)"
     assert filled("{action}", {"action": "(fetch box-a)"}, {}) == "(fetch box-a)"
     for fields in ({"what": "a b", "where": "c"}, {"what": "a) (b", "where": "c"}, {"what": "a"}):
-        with pytest.raises(MessageError, match="expected"):
+        with pytest.raises(Refusal, match="expected"):
             filled("(put {what} {where})", fields, {})
 
 
 @given(st.binary())
 def test_any_payload_is_read_or_refused(payload: bytes) -> None:
     source = Observed(topic="line/{person}", number="{n}")
-    with suppress(MessageError):
+    with suppress(Refusal):
         source.report(source.fields("line/ann", payload), {})
 
 
@@ -677,7 +678,7 @@ def test_fields_of_payloads() -> None:
     report = source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"}, {})
     assert (report.number, report.values, report.fault) == (2, {"action": "(go)", "seq": "0"}, None)
     for wrong in ({"n": "0"}, {"n": "x"}, {"id": ""}, {"id": "i" * 129}, {"seq": "-1"}):
-        with pytest.raises(MessageError, match="expected"):
+        with pytest.raises(Refusal, match="expected"):
             source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0", **wrong}, {})
 
 

@@ -18,7 +18,7 @@ from test_mqtt import Here, done_of, free_port, plans
 
 from assist.cli import main
 from assist.connect.bridges import Ros2Settings
-from assist.connect.bridges.messages import MessageError
+from assist.declare.refusals import Refusal
 from assist.live import Acted, Left
 from assist.live.store import stored
 from assist.person.settings import Setting
@@ -234,5 +234,5 @@ def test_a_person_without_a_place_has_no_goal(tmp_path: Path) -> None:
     (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", "9090"))
     go_to = Ros2Settings.read(file).go_to
     assert go_to is not None
-    with pytest.raises(MessageError, match=r"go_to.places: 'person-9' has no x"):
+    with pytest.raises(Refusal, match=r"go_to.places: 'person-9' has no x"):
         go_to.goal_for("person-9")

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from test_mqtt import Here
 
-import assist
+import assist.connect
 from assist.cli.options.live import bridge_of
 from assist.connect.bridges import Bridge, Faulty, Located, Message, Report, Reported, Transport
 from assist.live import Acted, Left
@@ -171,7 +171,7 @@ def test_a_bridge_needs_its_own_extra_only(
             elif name.partition(".")[0] == package:
                 monkeypatch.setitem(sys.modules, name, None)
         monkeypatch.setitem(sys.modules, package, None)
-        monkeypatch.delattr(assist, "bridges")
+        monkeypatch.delattr(assist.connect, "bridges")
 
     without(unneeded)
     bridge_of(file)

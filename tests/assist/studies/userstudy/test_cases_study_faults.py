@@ -31,7 +31,7 @@ from assist.studies.userstudy.tables import tables
 from assist.web.tokens import AccessTokens
 from assist.web.user_study.service import StudyService
 from planner import Table
-from planner.system.errors import InputFileError, ResultsExistError
+from planner.system.errors import InputFileError
 
 
 def opened(table: Table, folder: Path, text: str = PLAN) -> StudySession:
@@ -106,7 +106,7 @@ FAULTS: dict[str, tuple[Callable[[Path, Table], Any], type[Exception], str]] = {
     ),
     "a folder that is a file": (damaged(no_folder), OSError, "File exists"),
     "a team's session on a study's folder": (
-        lambda folder, table: Session(table, folder / "data" / JOURNAL), ResultsExistError, "the session there has",
+        lambda folder, table: Session(table, folder / "data" / JOURNAL), InputFileError, "the session there has",
     ),
     "half a secret": (cuts("secret"), OSError, "expected the 32 bytes of the session's secret; found 5"),
     "half a key of codes": (cuts("codes.key"), OSError, "expected the 32 bytes of the session's secret; found 5"),
@@ -134,7 +134,7 @@ def test_a_fault_in_the_folder_is_said_in_one_sentence(begun: Path, tiny: Table,
 
 def test_after_a_refusal_the_folder_is_free_and_whole(begun: Path, tiny: Table) -> None:
     before = (begun / "data" / JOURNAL).read_bytes()
-    with pytest.raises(ResultsExistError):
+    with pytest.raises(InputFileError):
         opened(tiny, begun, PLAN.replace("seed = 3", "seed = 4"))
     assert (begun / "data" / JOURNAL).read_bytes() == before
     opened(tiny, begun).close()

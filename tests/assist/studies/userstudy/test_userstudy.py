@@ -35,7 +35,7 @@ from assist.studies.userstudy.plan_file import FileTable, read
 from assist.studies.userstudy.session import JOURNAL, StudySession
 from assist.studies.userstudy.tables import tables
 from planner import Instance, Table
-from planner.system.errors import InputFileError, ResultsExistError
+from planner.system.errors import InputFileError
 
 __all__ = ["opened"]
 
@@ -306,7 +306,7 @@ def test_tables_of_another_version_are_refused_in_one_line_that_names_it(opened:
             """UPDATE header SET document =
             json_remove(json_set(document, '$.format', 'kitassist user study 1'), '$.version')"""
         )
-    with pytest.raises(ResultsExistError, match=r"recorded by kitassist 1\.0, and only that version reads it"):
+    with pytest.raises(InputFileError, match=r"recorded by kitassist 1\.0, and only that version reads it"):
         tables(study, tmp_path / "data" / JOURNAL)
 
 
@@ -492,9 +492,7 @@ def test_simulated_people_act_in_step_and_share_the_robot(opened: Open) -> None:
 
 def test_a_folder_of_another_study_is_refused(opened: Open) -> None:
     opened().close()
-    with pytest.raises(
-        ResultsExistError, match=r"study than .*study.toml, line 7 of which is 'seed = 4', not 'seed = 3'"
-    ):
+    with pytest.raises(InputFileError, match=r"study than .*study.toml, line 7 of which is 'seed = 4', not 'seed = 3'"):
         opened(PLAN.replace("seed = 3", "seed = 4"))
 
 
