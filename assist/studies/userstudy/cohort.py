@@ -2,7 +2,7 @@
 
 The condition is assigned when the first task begins, not before (`assignment`).
 
-In a study with groups, participants wait for each other (`groups`). The last one to arrive starts the group, which has
+In a study with groups, participants wait for each other (`roll`). The last one to arrive starts the group, which has
 one condition, or order of conditions, and in each condition one team and one robot.
 
 Every event is recorded such that it can be replayed, including random draws and decisions.
@@ -25,14 +25,13 @@ from ...live.team import Team
 from .assignment import assign
 from .events import Erased, Expired, Onward, Returned, StudyEvent, Vacant, Visited, Withdrew
 from .participant_team import ParticipantTeam
-from .participants import DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
 from .plan import WAITING, UserStudy
 from .record import StudyRecord
-from .roll import Roll
+from .roll import DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
 from .teams import Facts, Teams
 
 
-class Cohort(Teams, Roll, History[StudyRecord]):
+class Cohort(Teams, History[StudyRecord]):
     """The participants of a study and all that has happened; parameters as in `Teams`."""
 
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], team: Callable[[str | None], Team]) -> None:
@@ -60,7 +59,7 @@ class Cohort(Teams, Roll, History[StudyRecord]):
             if person.group is not None and facts.get("team"):
                 facts |= {"group": person.group, "period": person.period}
             facts |= self._starts(person, event, facts, n, time)
-            for team in person.groups.values():
+            for team in person.teams.values():
                 self.fault = team.team.fault or self.fault
         record = StudyRecord(n=n, time=time, event=facts.pop("event", event), **facts)
         self._note(record)
@@ -83,18 +82,18 @@ class Cohort(Teams, Roll, History[StudyRecord]):
         if record.members:
             self._form(record)
         if record.group is not None:
-            self.groups.begun[record.group].teams[record.period].again(record.team)
+            self.groups[record.group].teams[record.period].again(record.team)
         self._note(record)
 
     def _note(self, record: StudyRecord) -> None:
         """Update the participants after an event, and the teams of those who begin a condition."""
         self.count = record.n
-        self.note(record)
+        record.note(self)
         if record.members:
-            team = self.groups.begun[str(record.group)].teams[record.period]
+            team = self.groups[str(record.group)].teams[record.period]
             for code in record.members:
                 if not self.participants[code].removed:
-                    self.participants[code].groups["task", record.period] = team
+                    self.participants[code].teams["task", record.period] = team
 
     # Groups.
 
@@ -105,14 +104,14 @@ class Cohort(Teams, Roll, History[StudyRecord]):
         if not waits or self.stages[at].kind != WAITING:
             return {}
         period = self.stages[at].period
-        members = self.groups.ready(person, period, late=isinstance(event, Expired))
+        members = self.ready(person, period, late=isinstance(event, Expired))
         if not members:
             return {}
         facts: Facts = {"group": person.group, "members": tuple(members), "period": period}
         if person.group is None:
-            facts["group"] = f"G{len(self.groups.begun) + 1}"
+            facts["group"] = f"G{len(self.groups) + 1}"
             facts["condition"] = assign(self.by_condition(), self.study.seed, self.begun)
-        known = self.groups.begun.get(facts["group"])
+        known = self.groups.get(facts["group"])
         new = known is None or period not in known.teams
         team = self._form(StudyRecord(n=n, time=time, event=event, **facts))
         task = self.study.tasks[0][0]
@@ -120,12 +119,14 @@ class Cohort(Teams, Roll, History[StudyRecord]):
             return facts | {"team": tuple(sub for member in members for sub in team.begin(member, task, n, time))}
         except Exception:
             if new:
-                self.groups.drop(facts["group"], period)
+                del self.groups[facts["group"]].teams[period]
+                if not self.groups[facts["group"]].teams:
+                    del self.groups[facts["group"]]
             raise
 
     def _form(self, record: StudyRecord) -> ParticipantTeam:
         """Return the team of a group in a period, which is new unless other members have begun."""
-        group, period = self.group_of(record), record.period
+        group, period = record.group_in(self), record.period
         own = self.study.orders[group.condition][period - 1]
         if period not in group.teams:
             group.teams[period] = ParticipantTeam(
@@ -166,7 +167,7 @@ class Cohort(Teams, Roll, History[StudyRecord]):
             Stands for the participant; the participant's code after a withdrawal, which then remains.
         """
         who = self.known(person)
-        teams = {} if who.group is None else self.groups.begun[who.group].teams
+        teams = {} if who.group is None else self.groups[who.group].teams
         of_teams = {period: team.team.without(person, label) for period, team in teams.items()}
         before, here, withdrawn = 0.0, False, label == who.code
 
@@ -195,8 +196,6 @@ class Cohort(Teams, Roll, History[StudyRecord]):
             return kept, {"person": label} if isinstance(event, Visited) else None
 
         return removed
-
-    # State.
 
     # Views.
 
@@ -246,7 +245,7 @@ class Cohort(Teams, Roll, History[StudyRecord]):
             "over": over, "completion": who.completion, "items": [item.name for item in self.items(who)],
         }  # fmt: skip
         if kind == WAITING and self.study.group is not None:
-            waiting, expected = self.groups.company(who)
+            waiting, expected = self.company(who)
             study["waiting"] = {"here": len(waiting), "of": expected}
         # The removal of records moves the last event of a participant before views that were sent.
         return seen | {"seq": self.count if who.removed else who.seq, "study": study}

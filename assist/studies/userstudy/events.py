@@ -1,7 +1,7 @@
 """What can happen in a user study: the events of participants, and what researchers do about them.
 
 As in `assist.live.events`, each kind is a class. `facts` says what follows from an event for the cohort, whose record
-has it. A new kind is a new class here.
+has it; `change` is what it does to its participant's part, also in tables. A new kind is a new class here.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from ...declare.refusals import InapplicableError, Refusal
 from ...live.event_base import INTERNAL, Action, Event, Name, Seq
 from ...live.names import LONGEST_REASON
 from .participant_team import Subs, own_action
-from .participants import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
 from .plan import WAITING
+from .roll import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant, Roll
 from .teams import Facts, Teams
 
 Reason = Annotated[str, Field(min_length=1, max_length=LONGEST_REASON), Expected(f"1 to {LONGEST_REASON} characters")]
@@ -66,6 +66,9 @@ class StudyEvent(Event):
     def happens(self, cohort: Teams, who: Participant, n: int, time: float) -> Facts | None:
         """Return what follows for a participant who takes part."""
         raise NotImplementedError
+
+    def change(self, roll: Roll, who: Participant, time: float, at: str | None) -> None:
+        """Change the participant's part in the study, at a time in seconds; `at` is the same in UTC, if it matters."""
 
     def is_told_by(self, team: Subs) -> bool:  # noqa: ARG002
         """Whether a record of the participant's team agrees with it."""
@@ -117,6 +120,11 @@ class Visited(StudyEvent):
             raise InapplicableError("full")
         return {"at": now()}
 
+    def change(self, roll: Roll, who: Participant, time: float, at: str | None) -> None:
+        """Begin at the first stage."""
+        who.simulated, who.arrived, who.removed = self.simulated, at, self.reached is not None
+        roll.enter(who, self.reached or 0, time)
+
 
 class Onward(StudyEvent):
     """A participant completes a stage and proceeds to the next one."""
@@ -157,6 +165,12 @@ class Onward(StudyEvent):
         if stage.kind == "consent":
             facts["at"] = now()
         return facts | cohort.enters_next(who, n, time)
+
+    def change(self, roll: Roll, who: Participant, time: float, at: str | None) -> None:
+        """Enter the next stage."""
+        if roll.stage(who).kind == "consent":
+            who.consented = at
+        roll.enter(who, roll.study.next_stage(who.at, who.condition), time)
 
 
 class Acted(StudyEvent):
@@ -298,6 +312,10 @@ class Excluded(StudyEvent):
             raise InapplicableError("other", why=f"the data of {who.code} are not part of the analysis")
         return {}
 
+    def change(self, roll: Roll, who: Participant, time: float, at: str | None) -> None:  # noqa: ARG002
+        """Note the reason."""
+        who.excluded = self.reason
+
 
 class Kept(StudyEvent):
     """What is kept of an event whose participant's records were erased."""
@@ -314,6 +332,10 @@ class Vacant(Kept):
     simulated: bool = False
     """Whether the participant was simulated."""
 
+    def change(self, roll: Roll, who: Participant, time: float, at: str | None) -> None:  # noqa: ARG002
+        """Keep the place."""
+        who.simulated, who.erased = self.simulated, True
+
 
 class Erased(Kept):
     """An event of a participant whose records were erased; the assigned condition, if it was assigned then, remains."""
@@ -321,3 +343,8 @@ class Erased(Kept):
     kind: Literal["erased"] = "erased"
     person: Name | None = None  # type: ignore[assignment]
     """The label, if a condition was assigned."""
+
+    def change(self, roll: Roll, who: Participant, time: float, at: str | None) -> None:  # noqa: ARG002
+        """Keep that a task was reached."""
+        if not who.removed:
+            who.at = roll.study.begins_at(1)

@@ -10,6 +10,7 @@ from pydantic import PlainValidator, SerializeAsAny, SerializerFunctionWrapHandl
 from ...live.record import Record, TeamRecord, event_of
 from .events import StudyEvent
 from .participant_team import Seen
+from .roll import DONE, HERE, Group, Participant, Roll
 
 
 class StudyRecord(Record):
@@ -40,6 +41,51 @@ class StudyRecord(Record):
     """What a participant saw who acted."""
 
     format: ClassVar[str] = "kitassist user study 3"
+
+    def note(self, roll: Roll) -> None:
+        """Change who takes part in the study, and at which stage."""
+        waited = set(roll.waiting())
+        roll.changed, roll.entered = set(), []
+        if self.event.who is not None:
+            self._note_person(roll, self.event.who)
+        if self.members:
+            self._begin(roll)
+            roll.begun += self.condition is not None
+        if waited != (waits := set(roll.waiting())):
+            roll.changed |= waited | waits
+        if self.group is not None:
+            members = roll.groups[self.group].members
+            roll.changed |= set(members)
+            for code in members:
+                roll.participants[code].acted = self.time
+        for code in roll.changed:
+            roll.participants[code].seq = self.n
+        roll.changed = {code for code in roll.changed if not roll.participants[code].erased}
+
+    def _note_person(self, roll: Roll, who: str) -> None:
+        person = roll.participants.setdefault(who, Participant(who))
+        roll.changed.add(who)
+        self.event.change(roll, person, self.time, self.at)
+        person.acted = self.time
+        person.status = HERE if self.returned else self.status or person.status
+        person.expired = person.expired or self.expired
+        if self.condition is not None and not self.members:
+            person.condition, roll.begun = self.condition, roll.begun + 1
+        if self.completion is not None:
+            person.completion, person.status = self.completion, self.status or DONE
+
+    def _begin(self, roll: Roll) -> None:
+        """Let the members of a group begin a condition."""
+        group = self.group_in(roll)
+        for code in self.members:
+            person = roll.participants[code]
+            person.condition, person.group = group.condition, self.group
+            if not person.removed:
+                roll.enter(person, roll.study.begins_at(self.period), self.time)
+
+    def group_in(self, roll: Roll) -> Group:
+        """Return the group of the record, which is new unless it has begun."""
+        return roll.groups.setdefault(str(self.group), Group(self.members, str(self.condition)))
 
     @model_serializer(mode="wrap")
     def _short(self, given: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -23,11 +23,10 @@ from ...live.store import stored
 from .events import Onward
 from .outcomes import COUNTED, Row
 from .participant_team import own_action
-from .participants import WITHDREW, Participant
 from .plan import Stage, UserStudy
 from .questionnaires import CHOICES
 from .record import StudyRecord
-from .roll import Roll
+from .roll import WITHDREW, Participant, Roll
 
 COLUMNS: dict[str, dict[str, str]] = {
     "participants": {
@@ -210,7 +209,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
         before = roll.participants.get(code)
         stage = study.stages[0 if before is None else before.at]
         where = {} if before is None else _where(study, before, stage)
-        roll.note(record)
+        record.note(roll)
         if event.is_tabled:
             found.events.append(_event(code, record, utc, event.kind, stage))
         if isinstance(event, Onward):

@@ -15,16 +15,15 @@ from ...live.team import Team
 from .assignment import assign
 from .codes import drawn
 from .participant_team import ParticipantTeam, Subs
-from .participants import Participant
-from .places import Places
 from .plan import Stage, UserStudy
 from .questionnaires import Item
+from .roll import Participant, Roll
 
 Facts = dict[str, Any]
 """Fields of the record of an event, beside its number and time."""
 
 
-class Teams(Places):
+class Teams(Roll):
     """The participants of a study, with their teams.
 
     Parameters
@@ -66,7 +65,7 @@ class Teams(Places):
         stage = self.stages[person.at]
         if not self.is_at_task(person) or person.removed:
             raise InapplicableError("action", person=person.code, here=stage.name)
-        return person.groups[stage.kind, stage.period]
+        return person.teams[stage.kind, stage.period]
 
     def is_over(self, person: Participant) -> bool:
         """Whether the participant's task is over: finished, unsolvable, or beyond the time limit."""
@@ -81,12 +80,12 @@ class Teams(Places):
         if to.kind == "task" and person.condition is None:
             condition = facts["condition"] = assign(self.by_condition(), self.study.seed, self.begun)
         if to.kind in ("practice", "task"):
-            new = (to.kind, to.period) not in person.groups
+            new = (to.kind, to.period) not in person.teams
             try:
                 facts["team"] = self._group(person, to, condition).begin(person.code, to.what, n, time)
             except Exception:
                 if new:
-                    person.groups.pop((to.kind, to.period), None)
+                    person.teams.pop((to.kind, to.period), None)
                 raise
         if to.kind == "thanks":
             facts["completion"] = self.completion()
@@ -107,7 +106,7 @@ class Teams(Places):
 
     def _group(self, person: Participant, stage: Stage, condition: str | None) -> ParticipantTeam:
         key = stage.kind, stage.period
-        if key not in person.groups:
+        if key not in person.teams:
             number = list(self.participants).index(person.code)
             practice = stage.kind == "practice"
             own = None if practice else self.study.orders[condition or person.condition or ""][stage.period - 1]
@@ -118,10 +117,10 @@ class Teams(Places):
                 seeds = np.random.SeedSequence([self.study.seed, number]).generate_state(count, np.uint64).tolist()
                 return [SimulatedPerson(self.study.population, trust=setting.trust_rule(), seed=seed) for seed in seeds]
 
-            person.groups[key] = ParticipantTeam(
+            person.teams[key] = ParticipantTeam(
                 person.code, self._tasks, lambda: self._team(own), mates, again=self.study.again
             )
-        return person.groups[key]
+        return person.teams[key]
 
     def items(self, person: Participant) -> tuple[Item, ...]:
         """Return the questions at the participant's stage, in the order in which the participant sees them."""

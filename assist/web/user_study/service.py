@@ -19,8 +19,8 @@ from ...live.event_base import Event
 from ...studies.userstudy.codes import identifier, spelled
 from ...studies.userstudy.cohort import Cohort
 from ...studies.userstudy.events import Elapsed, Expired, Left, Returned, StudyEvent, Visited, Withdrew
-from ...studies.userstudy.participants import HERE
 from ...studies.userstudy.plan import WAITING
+from ...studies.userstudy.roll import HERE
 from ...studies.userstudy.session import StudySession
 from ..request_limits import Allowance
 from ..schemas import Robot
@@ -291,7 +291,7 @@ class StudyService(Service):
                 found.append(Left(person=code))
             elif study.group is not None and stage.kind == WAITING:
                 late = session_now - person.entered > 60 * study.group.wait
-                if late or (person.group is not None and cohort.groups.is_complete(person)):  # the others have left
+                if late or (person.group is not None and cohort.is_complete(person)):  # the others have left
                     found.append(Expired(person=code))
             elif stage.kind == "task":
                 late = study.minutes is not None and session_now - person.entered > 60 * study.minutes

@@ -68,7 +68,7 @@ def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> Non
             asked = [name for name in who if session.person(name)["suggestion"] is not None]
             told |= set(asked)
     assert told == {"ann", "bob", "cyd"}  # the robot attends to one after the other
-    (group,) = session.cohort.groups.begun.values()
+    (group,) = session.cohort.groups.values()
     assert {advice.person for advice in group.teams[1].team.advices} <= {"ann", "bob", "cyd", None}
     assert all(session.person(name)["steps"] == 3 for name in who)
 
@@ -82,7 +82,7 @@ def test_a_member_who_leaves_does_not_stop_the_others(opened: Open, goes: str) -
     for part in (ann, cyd):
         for _ in range(2):
             part.errs()
-            assert session.cohort.groups.begun["G1"].teams[1].team.advices[0].person in (ann.name, cyd.name, None)
+            assert session.cohort.groups["G1"].teams[1].team.advices[0].person in (ann.name, cyd.name, None)
         part.finish()
     views = {part.name: session.person(part.name) for part in (ann, bob, cyd)}
     session.close()
@@ -129,7 +129,7 @@ def test_after_the_time_a_smaller_group_may_start(opened: Open) -> None:
     cyd.report("expired")
     assert cyd.stage == "task tiny"  # alone
     cyd.errs()
-    assert session.cohort.groups.begun["G2"].teams[1].team.advices[0].person in ("cyd", None)
+    assert session.cohort.groups["G2"].teams[1].team.advices[0].person in ("cyd", None)
     before = {name: session.person(name) for name in ("ann", "bob", "cyd")}
     session.close()
     again = opened(EAGER)
@@ -146,9 +146,9 @@ def test_after_the_time_one_may_go_on_alone_while_the_others_wait(opened: Open) 
     assert (ann.stage, bob.stage) == ("task tiny", "waiting")
     assert session.person("bob")["study"]["waiting"] == {"here": 1, "of": 3}
     ann.errs()
-    assert session.cohort.groups.begun["G1"].members == ("ann",)
+    assert session.cohort.groups["G1"].members == ("ann",)
     waiting(session, "cyd", "dan")
-    assert session.cohort.groups.begun["G2"].members == ("bob", "cyd", "dan")  # who waits on can still find a group
+    assert session.cohort.groups["G2"].members == ("bob", "cyd", "dan")  # who waits on can still find a group
     before = {name: session.person(name) for name in ("ann", "bob", "cyd", "dan")}
     session.close()
     again = opened(lonely)
@@ -219,10 +219,10 @@ def test_within_participants_a_group_waits_again_and_has_another_robot(opened: O
     ann.to("waiting 2")
     assert session.person("ann")["study"]["waiting"] == {"here": 1, "of": 3}
     bob.to("waiting 2")
-    assert not session.cohort.groups.is_complete(who["ann"])
+    assert not session.cohort.is_complete(who["ann"])
     cyd.report("left")
     assert session.person("ann")["study"]["waiting"] == {"here": 2, "of": 2}
-    assert session.cohort.groups.is_complete(who["ann"])
+    assert session.cohort.is_complete(who["ann"])
     ann.report("expired")  # which ends nobody's study here
     assert (ann.stage, bob.stage, cyd.stage) == ("task tiny 2", "task tiny 2", "task tiny 1")
     ann.errs()
@@ -234,7 +234,7 @@ def test_within_participants_a_group_waits_again_and_has_another_robot(opened: O
     cyd.report("returned")
     assert session.person("cyd")["steps"] == 1
     cyd.to("task tiny 2")  # the others have begun, so that there is nobody to wait for
-    (group,) = session.cohort.groups.begun.values()
+    (group,) = session.cohort.groups.values()
     assert set(group.teams[2].team.people) == {"ann", "bob", "cyd"}
     assert group.teams[1].team is not group.teams[2].team
     for part in parts:
