@@ -29,9 +29,8 @@ from simulated_people import observed, record_with_terms
 from tables import cell, record_option, write_record
 
 from assist.learning import Log, Method, observe, replay
-from assist.learning.hierarchy import fit_hierarchy, fit_terms
+from assist.learning.hierarchy import fit_hierarchy, fit_terms, pooled
 from assist.learning.logit_likelihood import Likelihood
-from assist.learning.model_comparison import pooled
 from assist.learning.observations import EvaluatedStates, Observations
 from assist.learning.replay import Recording, situation
 from assist.learning.statistics import ratio
@@ -165,7 +164,7 @@ def read_data(every: list[Solved]) -> Data:
         for problem in sorted({one.problem for one in every}):
             found += observations_of(problem, [one for one in every if one.problem == problem], Path(folder))
     likelihood = Likelihood.of(found, Method(lapse=LAPSE))
-    number = {person: place for place, person in enumerate(likelihood.steps.people)}
+    number = {person: place for place, person in enumerate(likelihood.people)}
     person = np.concatenate([np.full(len(o), number[o.person]) for o in found])
     problem = np.concatenate([np.full(len(o), int(o.episodes[0])) for o in found])
     return Data(likelihood, problem[np.argsort(person, kind="stable")], likelihood.steps.begins)
@@ -177,16 +176,16 @@ Fold = tuple[np.ndarray, np.ndarray]
 
 def held_out(likelihood: Likelihood, folds: Iterable[Fold], *, costs: bool = True) -> np.ndarray:
     """Return the log-probability of each choice, shape (N,), under the estimates from the other folds."""
-    result, at = np.full(len(likelihood.steps), np.nan), None
+    result, at = np.full(len(likelihood.steps.person), np.nan), None
     for learned, predicted in folds:
-        found = pooled(likelihood, learned, at, costs=costs)
-        result[predicted], at = found.log_probabilities(predicted), found.at
+        _, at = pooled(likelihood, learned, at, costs=costs)
+        result[predicted] = likelihood.together(predicted).log_probability(at)
     return result
 
 
 def summed_up(likelihood: Likelihood, logs: np.ndarray) -> tuple[float, float, np.ndarray]:
     """Return nats per choice, their standard error over people, and those of each person, shape (K,)."""
-    people = len(likelihood.steps.people)
+    people = len(likelihood.people)
     count = np.bincount(likelihood.steps.person, minlength=people)
     total = np.bincount(likelihood.steps.person, -logs, people)
     return *ratio(total, count), total / np.maximum(count, 1)
@@ -251,9 +250,11 @@ def tower(made_up: int | None, quick: bool, record: Path | None) -> None:
     folds = [*crossed(data, FOLDS[0], 1 if quick else min(FOLDS[1], problems))]
     if quick:
         folds = [(steps.person % FOLDS[0] != k, steps.person % FOLDS[0] == k) for k in range(FOLDS[0])]
-    click.echo(f"{len(steps.people)} people, {problems} problems, {len(every)} solved, {len(steps)} choices")
+    click.echo(
+        f"{len(likelihood.people)} people, {problems} problems, {len(every)} solved, {len(steps.person)} choices"
+    )
     rows: list[dict[str, object]] = []
-    whole = np.ones(len(steps), dtype=bool)
+    whole = np.ones(len(steps.person), dtype=bool)
     means: dict[str, float] = {}
     references: dict[str, np.ndarray] = {}
 
@@ -288,16 +289,16 @@ def tower(made_up: int | None, quick: bool, record: Path | None) -> None:
         by_problem = [(data.problem % FOLDS[1] != j, data.problem % FOLDS[1] == j) for j in range(FOLDS[1])]
         for name in ("boltzmann", "terms"):
             own = likelihood.with_terms(MODELS[name][0])
-            add(name, held_out(own, by_problem), len(own.steps.terms) + 1, "other problems")
+            add(name, held_out(own, by_problem), len(own.terms) + 1, "other problems")
         for name in ("boltzmann", "terms"):
             own = likelihood.with_terms(MODELS[name][0])
-            add(name, personal(own, by_problem), len(own.steps.terms) + 1, "other problems, own weights")
+            add(name, personal(own, by_problem), len(own.terms) + 1, "other problems, own weights")
     write_record(record, COLUMNS, rows)
 
 
 def personal(likelihood: Likelihood, folds: Iterable[Fold]) -> np.ndarray:
     """Predict each choice with the person's own weights, fitted to other problems."""
-    result = np.zeros(len(likelihood.steps))
+    result = np.zeros(len(likelihood.steps.person))
     for learned, predicted in folds:
         people = fit_hierarchy(replace(likelihood, steps=likelihood.steps.only(learned)), 12)
         result[predicted] = replace(likelihood, steps=likelihood.steps.only(predicted)).log_probability(people.at)

@@ -22,7 +22,7 @@ from tables import cell, record_option, write_record
 
 from assist.learning.advice_log import AdviceLog, read_advice
 from assist.learning.advice_model import BASES
-from assist.learning.rule_comparison import compare_rules
+from assist.learning.held_out import compare_rules
 
 VARIABLE = "KITASSIST_ADVICE"
 DATA: dict[str, dict[str, Any]] = {

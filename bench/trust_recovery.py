@@ -20,7 +20,7 @@ from simulated_people import People, observed, record_with_trust
 from tables import cell, record_option, write_record
 
 from assist.learning import Observations
-from assist.learning.rule_comparison import compare_rules
+from assist.learning.held_out import compare_rules
 from assist.learning.trust_fit import fit_influence
 from assist.people.trust_rules import (
     LEAST,

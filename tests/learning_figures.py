@@ -34,9 +34,10 @@ from assist.learning import (  # noqa: E402
     maximum_likelihood,
     read_advice,
 )
-from assist.learning.advice_fit import COMPARED, base_of, fit_advice, fit_model, fold_of  # noqa: E402
+from assist.learning.advice_fit import base_of, fit_advice, fit_model  # noqa: E402
 from assist.learning.advice_model import AdviceModel  # noqa: E402
 from assist.learning.advice_rules import RULES  # noqa: E402
+from assist.learning.held_out import COMPARED, fold_of  # noqa: E402
 from assist.learning.hierarchy import fit_terms  # noqa: E402
 from assist.people.choices import Choices  # noqa: E402
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement  # noqa: E402

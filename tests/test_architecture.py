@@ -55,10 +55,10 @@ ROOMS = {
     "assist.learning": """method statistics repeated_measures log_steps log_json log_files log comparison intervals
         advice_log
         advice_rules advice_model advice_fit replay observations joint_states evidence neighbours_in_logs likelihood
-        choosing likelihood_table likelihood_arrays first_estimates person_estimate profiles maximum_likelihood
+        choosing likelihood_table likelihood_arrays first_estimates person_estimate maximum_likelihood
         logit_likelihood hierarchy misconception_fit
-        diagnostics population fit goals model_comparison rule_families posterior_sample influence_population
-        rule_search trust_fit rule_comparison""",
+        diagnostics population fit goals rule_families posterior_sample influence_population
+        rule_search trust_fit held_out""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
     "assist.drawing.plots": "style labels shown_figure episode watched people policies study userstudy",
     "assist.live": """continuations contrast explanation names live_task advice roster seen_suggestions

@@ -15,6 +15,8 @@ from .fit import fit as fit
 from .goals import EpisodeGoals as EpisodeGoals
 from .goals import InferredGoals as InferredGoals
 from .goals import infer_goals as infer_goals
+from .held_out import compare_models as compare_models
+from .held_out import compare_rules as compare_rules
 from .hierarchy import Hierarchy as Hierarchy
 from .influence_population import InfluencePopulation as InfluencePopulation
 from .likelihood import Method as Method
@@ -25,7 +27,6 @@ from .log import Log as Log
 from .log import read_log as read_log
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
 from .misconception_fit import fit_misconception as fit_misconception
-from .model_comparison import compare_models as compare_models
 from .neighbours_in_logs import places_of as places_of
 from .neighbours_in_logs import with_neighbours as with_neighbours
 from .observations import EvaluatedStates as EvaluatedStates
@@ -41,7 +42,6 @@ from .population import fit_population as fit_population
 from .population import mixture as mixture
 from .replay import Recording as Recording
 from .replay import replay as replay
-from .rule_comparison import compare_rules as compare_rules
 from .rule_families import RuleFamily as RuleFamily
 from .rule_families import seen_families as seen_families
 from .trust_fit import Influence as Influence

@@ -1,8 +1,4 @@
-"""Fits of trust rules to logs of advice, and how well they predict people who were left out.
-
-A fit is one of largest marginal likelihood (`advice_model`). `fit_advice` is what `kitassist fit --advice` does;
-`compare_rules` compares rules on held-out people.
-"""
+"""Fits of trust rules to logs of advice, by the largest marginal likelihood (`advice_model`)."""
 
 from __future__ import annotations
 
@@ -13,7 +9,6 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from planner.system.errors import expected
@@ -22,20 +17,10 @@ from planner.system.results import Result
 from ..people.decision import Floats
 from .advice_log import AdviceLog, read_advice
 from .advice_model import BASES, AdviceModel
-from .advice_rules import DEFAULT_STEPS, OF_THE_PAPER, ONE_THETA, RULES, Rule
-from .comparison import FOLDS
+from .advice_rules import RULES
 
 POINTS, LOCAL = 30, 3
 """Random points, and searches from the most likely ones, where a likelihood has many local maxima."""
-
-BASE_RATES = "base rates"
-"""Name of the shares of people who followed, at agreement and at disagreement; there is no rule."""
-
-COMPARED: dict[str, Rule | None] = {
-    BASE_RATES: None, ONE_THETA.name: ONE_THETA, OF_THE_PAPER.name: OF_THE_PAPER, **RULES,
-    DEFAULT_STEPS.name: DEFAULT_STEPS,
-}  # fmt: skip
-"""What is compared unless other rules are given: simpler predictions, and the shipped rules, as shipped and fitted."""
 
 WIDTHS = {"mu": 1.0, "sigma": 0.5}
 """Standard deviations of the random points; of other parameters, half of the value at which fits begin."""
@@ -182,72 +167,6 @@ def _scoring(people: Callable[[Floats], Floats], point: Floats, enough: float = 
             damping *= 10
         point, values, damping = point + step, moved, max(damping / 10, 1e-6)
     return point
-
-
-def fold_of(people: Sequence[str], folds: int = FOLDS) -> NDArray[np.int64]:
-    """Return the fold of each person, shape (K,): the number in their name, modulo the number of folds.
-
-    Where that leaves all people in one fold, as with names without numbers, it is the person's place in the log.
-    """
-    found = np.array([int("".join(filter(str.isdecimal, name)) or 0) % folds for name in people])
-    return found if (found != found[0]).any() else np.arange(len(people)) % folds
-
-
-@dataclass(frozen=True)
-class AdviceFit:
-    """A model that was fitted to some people of a log."""
-
-    log: AdviceLog
-    model: AdviceModel
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Those of the base and of the rule."""
-        return self.model.parameters
-
-    def log_probability(self, people: NDArray[np.bool_]) -> Floats:
-        """Return the log probability of all answers of each of some people; `people` has shape (K,)."""
-        return self.model.log_likelihoods(self.log.of(people))
-
-
-@dataclass(frozen=True)
-class BaseRates:
-    """The shares of judgements of some people in which the advice was followed, by whether it was their own choice."""
-
-    log: AdviceLog
-    agreement: float
-    disagreement: float
-
-    @classmethod
-    def of(cls, log: AdviceLog, some: AdviceLog) -> BaseRates:
-        """Return the shares of some people's judgements, with half a judgement for each answer: never 0 or 1."""
-        rates = [float((some.follows[rows].sum() + 0.5) / (rows.sum() + 1)) for rows in (some.agrees, ~some.agrees)]
-        return cls(log, *rates)
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """The two shares."""
-        return {"agreement": self.agreement, "disagreement": self.disagreement}
-
-    def log_probability(self, people: NDArray[np.bool_]) -> Floats:
-        """Return the log probability of all answers of each of some people; `people` has shape (K,)."""
-        log = self.log.of(people)
-        rate = np.where(log.agrees, self.agreement, self.disagreement)
-        return np.add.reduceat(np.log(np.where(log.follows, rate, 1 - rate)), np.flatnonzero(log.first))
-
-
-def fit_to(
-    log: AdviceLog, start: AdviceModel | None, people: NDArray[np.bool_], fits: Sequence[AdviceFit | BaseRates]
-) -> AdviceFit | BaseRates:
-    """Fit a model to some people, as `comparison.compared` asks for; base rates if there is none to start from.
-
-    The fit of the fold before is a good start.
-    """
-    some = log.of(people)
-    if start is None:
-        return BaseRates.of(log, some)
-    near = fits[-1] if len(fits) > 1 else None
-    return AdviceFit(log, fit_model(near.model if isinstance(near, AdviceFit) else start, some))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

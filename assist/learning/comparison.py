@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from .statistics import Comparison as Tested
 from .statistics import IntervalEstimate, holm, ratio
 
 FOLDS = 8
+
+Some: TypeAlias = NDArray[np.bool_]
+"""Who some people are among all, shape (K,)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -181,26 +184,24 @@ class Comparison(Result):
         }  # fmt: skip
 
 
-class Fitted(Protocol):
-    """A model that was fitted to some people."""
+class Fitted(NamedTuple):
+    """A model that was fitted to some people.
 
-    @property
-    def parameters(self) -> dict[str, float]:
-        """The estimates by name."""
-        ...
+    `log_probability` returns the log probability of all that each of some people chose, shape (n,), given who they are
+    among all, shape (K,). A fit to other people can begin at `start`.
+    """
 
-    def log_probability(self, people: NDArray[np.bool_]) -> Floats:
-        """Return the log probability of all that each of some people chose, shape (n,); `people` has shape (K,)."""
-        ...
+    parameters: dict[str, float]
+    log_probability: Callable[[Some], Floats]
+    start: Any = None
 
 
-F = TypeVar("F", bound=Fitted)
-FitTo = Callable[[NDArray[np.bool_], Sequence[F]], F]
+FitTo = Callable[[Some, Sequence[Fitted]], Fitted]
 """Fits a model to some people, shape (K,), given its fits so far: to all people, and to those of other folds."""
 
 
 def compared(
-    models: Mapping[str, FitTo[Any]], people: Sequence[str], choices: NDArray[np.int64], reference: str, *,
+    models: Mapping[str, FitTo], people: Sequence[str], choices: NDArray[np.int64], reference: str, *,
     fold: NDArray[np.int64], level: float, time_limit: float | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:  # fmt: skip

@@ -69,13 +69,11 @@ def fit_hierarchy(likelihood: Likelihood, rounds: int = 60) -> Hierarchy:
         Largest number of EM steps.
     """
     low, high = likelihood.ranges.low, likelihood.ranges.high
-    people, size = len(likelihood.steps.people), len(low)
+    people, size = len(likelihood.people), len(low)
     third = (high - low) / 3
-    pooled, _, _ = maximise(
-        replace(likelihood, steps=likelihood.steps.together()), start_of(likelihood, 1), fixed_of(likelihood, 1)
-    )
-    mean, spread = pooled[0], third / 2
-    at, fixed = np.repeat(pooled, people, axis=0), fixed_of(likelihood, people)
+    _, together = pooled(likelihood)
+    mean, spread = together[0], third / 2
+    at, fixed = np.repeat(together, people, axis=0), fixed_of(likelihood, people)
     for _ in range(rounds):
         prior = Prior(mean, spread**-2)
         at, value, curvature = maximise(likelihood, at, fixed, prior, 20)
@@ -98,11 +96,41 @@ def fit_hierarchy(likelihood: Likelihood, rounds: int = 60) -> Hierarchy:
     return Hierarchy(likelihood, mean, spread, at, np.sqrt(own), float(evidence.sum()))
 
 
-def start_of(likelihood: Likelihood, people: int) -> Floats:
-    """Return starting values: no weights, and beta in the middle of its range."""
-    start = np.zeros((people, len(likelihood.ranges.low)))
-    start[:, BETA] = likelihood.ranges.high[BETA] / 2
-    return start
+def pooled(
+    likelihood: Likelihood, steps: NDArray[np.bool_] | None = None, near: Floats | None = None, *, known: bool = True,
+    costs: bool = True,
+) -> tuple[Likelihood, Floats]:  # fmt: skip
+    """Return the coordinates of largest likelihood for all people together, and the likelihood with its learning rate.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+    steps : bool array, shape (N,), optional
+        Steps that are learned from, in whole episodes; all unless given.
+    near : float array, shape (1, P), optional
+        Starting values; no weights, and beta in the middle of its range, unless given.
+    known : bool
+        Whether the learning rate is the likelihood's; otherwise the best of `RATES` is used.
+    costs : bool
+        Whether choices depend on costs.
+
+    Returns
+    -------
+    likelihood : Likelihood
+    at : float array, shape (1, P)
+    """
+    together, fixed = likelihood.together(steps), fixed_of(likelihood, 1)
+    fixed[:, BETA] = not costs
+    if near is None:
+        near = np.zeros((1, len(likelihood.ranges.low)))
+        near[:, BETA] = likelihood.ranges.high[BETA] / 2
+    at = np.where(fixed, 0.0, near)
+    found: list[tuple[float, float, Floats]] = []
+    for rate in [likelihood.eta] if known or not likelihood.steps.told else RATES.tolist():
+        at, value, _ = maximise(replace(together, eta=rate), at, fixed)
+        found.append((float(value[0]), rate, at))
+    _, rate, at = max(found, key=lambda one: one[0])
+    return replace(likelihood, eta=rate), at
 
 
 def fixed_of(likelihood: Likelihood, people: int) -> NDArray[np.bool_]:

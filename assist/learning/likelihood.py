@@ -14,7 +14,7 @@ reached, an action can only be a lapse, and a suggestion does not move theta.
 - a population, and the parameters of a trust rule: the maximum of the marginal likelihood, that is, of the table's
   mean over nodes of beta and theta_0 (`likelihood_table`, `population`, `influence_population`, `rule_search`);
 - goals: the table of an episode, normalised over goals (`goal_posteriors`);
-- comparisons: the same with people whom the fit has not seen (`rule_comparison`).
+- comparisons: the same with people whom the fit has not seen (`held_out`).
 
 The search for one person asks the same kernels for single
 points, since the maximum lies on narrow ridges between nodes. Terms (`logit_likelihood`), misconceptions
@@ -38,7 +38,7 @@ from ..people.influence_kernels import update_trust
 from .method import Method as Method
 from .observations import Ints, Observations
 
-COMPILED_FOR = "estimates of people: about twelve seconds"
+COMPILED_FOR = "estimates of people: some seconds"
 
 SMALL = 1e-3
 """Share of the range of beta below which the scale of beta is linear; it is logarithmic above."""
@@ -163,18 +163,11 @@ def by_equation_seven(data: Data, theta: Floats, eta: Floats) -> Floats:
 
 
 @njit(nogil=True)
-def _add_logs(total: Floats, product: Floats) -> None:
-    """Add the logarithms of products to a total, and set the products to 1."""
-    for p in range(len(product)):
-        total[p] += math.log(product[p])
-        product[p] = 1.0
+def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, path: Floats) -> Floats:
+    """Return the log-likelihood of all steps for each path, shape (P,), given what `alone` fills in.
 
-
-@njit(nogil=True)
-def joint(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, path: Floats) -> Floats:
-    """Return the log-likelihood of all steps, by row and path, shape (rows, P), given what `alone` fills in.
-
-    `path` is theta at each suggestion, shape (heard, P), for P values of what theta depends on.
+    `path` is theta at each suggestion, shape (heard, P), for P values of what theta depends on. Goals are summed within
+    an episode, then episodes are added.
 
     Equation (6) as in `influence_kernels.influence_factors`, without branches in the loop over theta, so that it is
     compiled into vector instructions. `SURE` in place of 0 makes a suggestion have no effect that would leave no choice
@@ -188,11 +181,15 @@ def joint(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, p
     product, since = np.empty(count), 0
     for p in range(count):
         product[p] = 1.0
-    for k in range(len(data.heard)):
-        i = data.heard[k]
-        if since == data.together or (data.row[i] != row and since):
-            _add_logs(found[row], product)
+    for k in range(len(data.heard) + 1):
+        i = data.heard[k] if k < len(data.heard) else -1
+        if i < 0 or since == data.together or (data.row[i] != row and since):
+            for p in range(count):
+                found[row, p] += math.log(product[p])
+                product[p] = 1.0
             since = 0
+        if i < 0:
+            break
         row = data.row[i]
         yes, share = data.chosen[i] == data.suggested[i], data.lapse / data.options[i]
         picked, heed, others = (1.0 - data.lapse) * own[k], told[k], rest[k]
@@ -200,39 +197,36 @@ def joint(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, p
             sure, other = max(path[k, p], SURE), max(1.0 - path[k, p], SURE)
             product[p] *= picked * (sure if yes else other) / (sure * heed + other * others) + share
         since += 1
-    _add_logs(found[row], product)
-    return found
-
-
-@njit(nogil=True)
-def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, path: Floats) -> Floats:
-    """Return the log-likelihood of all steps for each path, shape (P,); goals are summed, then episodes are added."""
-    found, goals = joint(data, own, told, rest, silent, path), data.goals
     if len(found) == 1:
         return found[0]
-    total = np.empty(path.shape[1])
-    for p in range(len(total)):
+    total = np.empty(count)
+    for p in range(count):
         total[p] = 0.0
-        for first in range(0, len(found), goals):
+        for first in range(0, len(found), data.goals):
             most, chance = -math.inf, 0.0
-            for r in range(first, first + goals):
+            for r in range(first, first + data.goals):
                 most = max(most, found[r, p])
-            for r in range(first, first + goals):
+            for r in range(first, first + data.goals):
                 chance += math.exp(found[r, p] - most)
             total[p] += most + math.log(chance)
     return total
 
 
-def goal_posteriors(observations: Observations, beta: float, theta: float, eta: float, method: Method) -> Floats:
-    """Return the probability of each goal in each episode, shape (episodes, goals), given all its actions."""
-    data = Data.of(observations, method)
-    own, told, rest = np.empty((3, len(data.heard)))
-    silent = np.empty_like(data.first)
-    alone(data, beta, own, told, rest, silent)
-    path = by_equation_seven(data, np.array([theta]), np.array([eta]))
-    every = joint(data, own, told, rest, silent, path).reshape(-1, data.goals)
-    every = np.exp(every - every.max(axis=1, keepdims=True))
-    return every / every.sum(axis=1, keepdims=True)
+@njit(nogil=True)
+def fill(found: Floats, data: Data, chances: Floats, silent: Floats, path: Floats) -> None:
+    """Fill in the log-likelihood for each beta and each path of theta, shape (B, P), given those of `without_trust`."""
+    for b in range(len(silent)):
+        values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], silent[b], path)
+        for p in range(len(values)):
+            found[b, p] = values[p]
+
+
+def without_trust(data: Data, beta: Floats) -> tuple[Floats, Floats]:
+    """Return what `alone` fills in for each beta, shapes (B, 3, heard) and (B, rows)."""
+    chances, silent = np.empty((len(beta), 3, len(data.heard))), np.empty((len(beta), len(data.first)))
+    for b, value in enumerate(beta.tolist()):
+        alone(data, value, *chances[b], silent[b])
+    return chances, silent
 
 
 def largest_beta(observations: Sequence[Observations], method: Method) -> float:

@@ -22,6 +22,19 @@ def log_likelihoods(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Flo
     theta, eta : float arrays, shape (P,)
         Values at the beginning of each episode, and rates of the trust update (equation 7).
     """
+    goals = _by_goal(data, beta, theta, eta)
+    return np.asarray(np.logaddexp.reduce(goals, axis=2).sum(axis=1))
+
+
+def goal_posteriors(data: Data, beta: float, theta: float, eta: float) -> Floats:
+    """Return the probability of each goal in each episode, shape (episodes, goals), given all its actions."""
+    every = _by_goal(data, *(np.array([value]) for value in (beta, theta, eta)))[0, :, :, 0]
+    every = np.exp(every - every.max(axis=1, keepdims=True))
+    return np.asarray(every / every.sum(axis=1, keepdims=True))
+
+
+def _by_goal(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
+    """Return the log-likelihood with each goal, shape (B, episodes, goals, P); if it is known, that of all episodes."""
     own, told, rest, silent = alone(data, beta)
     path, heard = by_equation_seven(data, theta, eta), data.heard
     yes = (data.chosen[heard] == data.suggested[heard])[:, None]
@@ -29,10 +42,7 @@ def log_likelihoods(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Flo
     total = told[..., None] * np.maximum(path, SURE) + rest[..., None] * np.maximum(1.0 - path, SURE)
     chance = (1.0 - data.lapse) * own[..., None] * weighs / total + (data.lapse / data.options[heard])[:, None]
     found = silent[..., None] + _by_row(np.log(chance), data.row[heard], len(data.first))
-    if found.shape[1] == 1:  # the goal is known
-        return np.asarray(found[:, 0])
-    goals = found.reshape(len(beta), -1, data.goals, len(theta))
-    return np.asarray(np.logaddexp.reduce(goals, axis=2).sum(axis=1))
+    return found.reshape(len(beta), -1, data.goals, len(theta))
 
 
 def alone(data: Data, beta: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -13,17 +13,14 @@ from numpy.typing import NDArray
 
 from planner.system.arrays import read_only
 from planner.system.errors import InputFileError
-from planner.system.jit import njit
 from planner.system.results import ByContent
 
 from ..people.decision import NOTHING, Floats
 from ..people.neighbours import SeenEvent, SeenRule
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule
-from .likelihood import Data, Method, alone, largest_beta, with_trust
+from .likelihood import Data, Method, fill, largest_beta, without_trust
 from .observations import Ints, Observations
-
-COMPILED_FOR = "estimates of people: about twelve seconds"
 
 THETAS = 41
 """Nodes of theta_0, evenly spaced on the logit scale from LEAST to 1 - LEAST: 0.23 log-odds apart.
@@ -112,11 +109,8 @@ class LikelihoodTable(ByContent):
         shape = (len(every), int(heard.max(initial=0)))
         anew, followed, agrees, optimal = (np.zeros(shape, dtype=bool) for _ in range(4))
         gain = np.zeros(shape)
-        chances = [np.empty((len(beta), 3, len(data.heard))) for data in every]
-        silent = [np.empty((len(beta), len(data.first))) for data in every]
+        alone = [without_trust(data, beta) for data in every]
         for k, (o, data) in enumerate(zip(observations, every, strict=True)):
-            for b, value in enumerate(beta.tolist()):
-                alone(data, value, *chances[k][b], silent[k][b])
             goal, step = (of_pairs[data.heard] for of_pairs in np.nonzero(~o.reached))
             slot, to = o.suggested[step], slice(0, len(data.heard))
             anew[k, to], followed[k, to], gain[k, to] = data.anew, o.chosen[step] == slot, o.by_goal("gain")[goal, step]
@@ -126,8 +120,8 @@ class LikelihoodTable(ByContent):
             )
         return cls(
             tuple(o.person for o in observations), np.array([len(o) for o in observations]), heard, anew, followed,
-            tuple(every), tuple(silent), tuple(chances), PerceivedSuggestions(gain, agrees, optimal), beta, theta,
-            _seen(observations, shape[1]),
+            tuple(every), tuple(silent for _, silent in alone), tuple(chances for chances, _ in alone),
+            PerceivedSuggestions(gain, agrees, optimal), beta, theta, _seen(observations, shape[1]),
         )  # fmt: skip
 
     @classmethod
@@ -217,7 +211,7 @@ class LikelihoodTable(ByContent):
         before, _ = self.thetas(rule, carry=carry)
         found = np.empty((len(self.people), len(self.beta), len(self.theta)))
         for k, data in enumerate(self.data):
-            _fill(found[k], data, self.silent[k], self.chances[k], before[k, : self.heard[k]])
+            fill(found[k], data, self.chances[k], self.silent[k], before[k, : self.heard[k]])
         return found
 
 
@@ -238,15 +232,6 @@ def _seen(observations: Sequence[Observations], most: int) -> Floats:
         for h, events in enumerate(of_person):
             found[k, h, : len(events)] = np.reshape(events, (len(events), 4))
     return found
-
-
-@njit(nogil=True)
-def _fill(found: Floats, data: Data, silent: Floats, chances: Floats, path: Floats) -> None:
-    """Fill in the log likelihood for each beta and each path of theta, shape (B, T)."""
-    for b in range(len(silent)):
-        values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], silent[b], path)
-        for t in range(len(values)):
-            found[b, t] = values[t]
 
 
 def log_likelihood(

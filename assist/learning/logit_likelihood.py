@@ -13,7 +13,7 @@ matter.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from planner.system.arrays import read_only
+from planner.system.arrays import frozen
 from planner.system.jit import njit
-from planner.system.results import ByContent
 
 from ..people.decision import NOTHING, Floats
 from .likelihood import SMALL, Method, largest_beta
@@ -37,33 +36,15 @@ BETA, THETA, FIRST_TERM = 0, 1, 2
 CERTAIN = 1e-9  # smallest distance of theta to 0 and 1 in the logit
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Steps(ByContent):
-    """The choices of K people, of one task or of several; N steps of up to A choices, J terms.
+class Steps(NamedTuple):
+    """The choices of K people, of one task or of several, as compiled code reads them; N steps of up to A choices.
 
-    Attributes
-    ----------
-    people : tuple of str
-    terms : tuple of str
-    person : int array, shape (N,)
-        Ascending indices into `people`.
-    speaks : float array, shape (N, A, 2 + J)
-        Factors of the coordinates: minus the excess cost (0 if infinite), whether the choice is suggested, terms.
-    possible : bool array, shape (N, A)
-        Whether each choice is possible without a lapse; avoidable actions into dead ends are not.
-    options : int array, shape (N,)
-        Number of choices.
-    chosen : int array, shape (N,)
-    gain : float array, shape (N,)
-        Change of the person's value by the suggestion, in units of the trust update; 0 without one.
-    begins : bool array, shape (N,)
-        Whether an episode begins at each step.
-    told : bool
-        Whether there is any suggestion.
+    `person`, shape (N,), has ascending numbers of people. `speaks`, shape (N, A, 2 + J), has the factors of the
+    coordinates: minus the excess cost (0 if infinite), whether the choice is suggested, and J terms. `possible` is
+    whether a choice is possible without a lapse; avoidable actions into dead ends are not. `gain` is the change of the
+    person's value by the suggestion, in units of the trust update; 0 without one. `told` is whether there is any.
     """
 
-    people: tuple[str, ...]
-    terms: tuple[str, ...]
     person: Ints
     speaks: Floats
     possible: NDArray[np.bool_]
@@ -73,59 +54,34 @@ class Steps(ByContent):
     begins: NDArray[np.bool_]
     told: bool
 
-    def __post_init__(self) -> None:
-        read_only(self)
-
-    def __len__(self) -> int:
-        return len(self.person)
-
     @classmethod
-    def of(cls, observations: Sequence[Observations], method: Method) -> Steps:
-        """Return the steps of observations; observations with the same name (in other tasks) are one person's.
-
-        Raises
-        ------
-        ValueError
-            There are no observations, or their terms differ.
-        """
-        if not observations:
-            raise ValueError("terms need people; there are no observations")
-        terms = observations[0].terms
-        if any(o.terms != terms for o in observations):
-            raise ValueError("expected observations with the same terms")
-        people = tuple(dict.fromkeys(o.person for o in observations))
-        number = {person: place for place, person in enumerate(people)}
+    def of(cls, observations: Sequence[Observations], number: Mapping[str, int], method: Method) -> Steps:
+        """Return the steps of observations; `number` has the number of each person."""
         width = max(o.excess.shape[1] for o in observations)
-        blocks = []
+        speaks, possible = [], []
         for o in observations:
-            held, wide = o.excess.shape, ((0, 0), (0, width - o.excess.shape[1]))
-            speaks = np.zeros((*held, FIRST_TERM + len(terms)))
-            possible = o.applicable & np.isfinite(o.excess)
-            speaks[:, :, BETA] = np.where(possible, -o.excess, 0.0)
-            speaks[:, :, THETA] = (np.arange(held[1]) == o.suggested[:, None]) & (o.suggested != NOTHING)[:, None]
-            speaks[:, :, FIRST_TERM:] = o.features
-            blocks.append((np.pad(speaks, (*wide, (0, 0))), np.pad(possible, wide)))
+            wide, here = ((0, 0), (0, width - o.excess.shape[1])), o.applicable & np.isfinite(o.excess)
+            told = (np.arange(o.excess.shape[1]) == o.suggested[:, None]) & (o.suggested != NOTHING)[:, None]
+            factors = np.stack([np.where(here, -o.excess, 0.0), told], axis=2)
+            speaks.append(np.pad(np.concatenate([factors, o.features], axis=2), (*wide, (0, 0))))
+            possible.append(np.pad(here, wide))
         person = np.repeat([number[o.person] for o in observations], [len(o) for o in observations])
         order = np.argsort(person, kind="stable")
-        return cls(
-            people, terms, person[order],
-            np.concatenate([block[0] for block in blocks])[order],
-            np.concatenate([block[1] for block in blocks])[order],
-            np.concatenate([o.applicable.sum(axis=1) for o in observations])[order],
-            np.concatenate([o.chosen for o in observations])[order],
-            np.concatenate([o.gain for o in observations])[order] / method.utility_scale,
-            np.concatenate([o.begins for o in observations])[order],
-            any((o.suggested != NOTHING).any() for o in observations),
+        parts = (
+            [person], speaks, possible, [o.applicable.sum(axis=1) for o in observations],
+            [o.chosen for o in observations], [o.gain / method.utility_scale for o in observations],
+            [o.begins for o in observations],
         )  # fmt: skip
+        any_told = any((o.suggested != NOTHING).any() for o in observations)
+        return cls._make([*(frozen(np.concatenate(part)[order]) for part in parts), any_told])
 
     def only(self, steps: NDArray[np.bool_]) -> Steps:
-        """Return some of the steps, shape (N,), in whole episodes; people keep their indices."""
-        names = ("person", "speaks", "possible", "options", "chosen", "gain", "begins")
-        return replace(self, **{name: getattr(self, name)[steps] for name in names})
+        """Return some of the steps, shape (N,), in whole episodes; people keep their numbers."""
+        return Steps._make([*(frozen(array[steps]) for array in self[:-1]), self.told])
 
     def together(self) -> Steps:
         """Return the steps as those of one person."""
-        return replace(self, people=("everybody",), person=np.zeros(len(self), dtype=np.int64))
+        return self._replace(person=frozen(np.zeros_like(self.person)))
 
 
 @dataclass(frozen=True)
@@ -173,11 +129,15 @@ class Likelihood:
 
     Attributes
     ----------
+    people, terms : tuple of str
+        Names of K people and of J terms.
     steps : Steps
     ranges : Ranges
     lapse, eta : float
     """
 
+    people: tuple[str, ...]
+    terms: tuple[str, ...]
     steps: Steps
     ranges: Ranges
     lapse: float
@@ -185,21 +145,43 @@ class Likelihood:
 
     @classmethod
     def of(cls, observations: Sequence[Observations], method: Method) -> Likelihood:
-        """Return the likelihood with the options of a method; an unknown learning rate is 0."""
-        steps = Steps.of(observations, method)
+        """Return the likelihood with the options of a method; an unknown learning rate is 0.
+
+        Observations with the same name (in other tasks) are one person's.
+
+        Raises
+        ------
+        ValueError
+            There are no observations, or their terms differ.
+        """
+        if not observations:
+            raise ValueError("terms need people; there are no observations")
+        terms = observations[0].terms
+        if any(o.terms != terms for o in observations):
+            raise ValueError("expected observations with the same terms")
+        people = tuple(dict.fromkeys(o.person for o in observations))
+        steps = Steps.of(observations, {person: place for place, person in enumerate(people)}, method)
         ranges = Ranges.of(steps, largest_beta(observations, method))
-        return cls(steps, ranges, method.lapse, method.eta or 0.0)
+        return cls(people, terms, steps, ranges, method.lapse, method.eta or 0.0)
 
     def with_terms(self, terms: Iterable[str]) -> Likelihood:
         """Return the likelihood with some of the terms only."""
-        wanted = set(terms)
-        places = [FIRST_TERM + j for j, term in enumerate(self.steps.terms) if term in wanted]
-        kept = [BETA, THETA, *places]
-        names = tuple(self.steps.terms[place - FIRST_TERM] for place in places)
-        steps = replace(self.steps, terms=names, speaks=np.ascontiguousarray(self.steps.speaks[:, :, kept]))
-        return replace(
-            self, steps=steps, ranges=Ranges(self.ranges.small, self.ranges.low[kept], self.ranges.high[kept])
-        )
+        places = [j for j, term in enumerate(self.terms) if term in set(terms)]
+        kept = [BETA, THETA, *(FIRST_TERM + j for j in places)]
+        steps = self.steps._replace(speaks=frozen(np.ascontiguousarray(self.steps.speaks[:, :, kept])))
+        ranges = Ranges(self.ranges.small, self.ranges.low[kept], self.ranges.high[kept])
+        return replace(self, terms=tuple(self.terms[j] for j in places), steps=steps, ranges=ranges)
+
+    def together(self, steps: NDArray[np.bool_] | None = None) -> Likelihood:
+        """Return the likelihood of some steps, shape (N,), or of all, as those of one person."""
+        some = self.steps if steps is None else self.steps.only(steps)
+        return replace(self, people=("everybody",), steps=some.together())
+
+    def parameters(self, at: Floats) -> dict[str, float]:
+        """Return what coordinates, shape (2 + J,), stand for: beta, weights, and with suggestions theta and eta."""
+        found = {"beta": float(self.ranges.beta(at[BETA]))}
+        found |= zip(self.terms, at[FIRST_TERM:].tolist(), strict=True)
+        return found | ({"theta": float(self.ranges.theta(at[THETA])), "eta": self.eta} if self.steps.told else {})
 
     def log_probability(self, at: Floats) -> Floats:
         """Return the log-probability of each step's choice, shape (N,), at coordinates of shape (K, 2 + J)."""
@@ -222,31 +204,19 @@ class Likelihood:
         return value, gradient, curvature
 
     def _evaluate(self, at: Floats, who: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
-        s = self.steps
-        bounds = np.searchsorted(s.person, np.arange(len(at) + 1))
-        parts = Parts(bounds, s.speaks, s.possible, s.options, s.chosen, s.gain, s.begins, s.told)
-        return _evaluate(at.copy(), who, parts, self.ranges.small, self.lapse, self.eta)
-
-
-class Parts(NamedTuple):
-    """Arrays of `Steps` that compiled code reads; those of person k are from `bounds[k]` to `bounds[k + 1]`."""
-
-    bounds: Ints
-    speaks: Floats
-    possible: NDArray[np.bool_]
-    options: Ints
-    chosen: Ints
-    gain: Floats
-    begins: NDArray[np.bool_]
-    told: bool
+        bounds = np.searchsorted(self.steps.person, np.arange(len(at) + 1))
+        return _evaluate(at.copy(), who, bounds, self.steps, self.ranges.small, self.lapse, self.eta)
 
 
 @njit()
 def _evaluate(
-    at: Floats, who: NDArray[np.bool_], parts: Parts, small: float, lapse: float, eta: float
+    at: Floats, who: NDArray[np.bool_], bounds: Ints, steps: Steps, small: float, lapse: float, eta: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return log-probabilities of the choices (N,), gradients (K, P) and curvatures (K, P, P)."""
-    bounds, speaks, possible, options, chosen, gain, begins, told = parts
+    """Return log-probabilities of the choices (N,), gradients (K, P) and curvatures (K, P, P).
+
+    The steps of person k are those from `bounds[k]` to `bounds[k + 1]`.
+    """
+    _, speaks, possible, options, chosen, gain, begins, told = steps
     count, size = at.shape
     logs = np.zeros(len(chosen))
     gradient, curvature = np.zeros((count, size)), np.zeros((count, size, size))

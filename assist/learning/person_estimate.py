@@ -13,7 +13,8 @@ from planner.system.results import Result
 
 from ..people.decision import NOTHING, Floats, choice, influence, lapse, trust
 from .intervals import Interval
-from .likelihood import Method, goal_posteriors
+from .likelihood import Data, Method
+from .likelihood_arrays import goal_posteriors
 from .observations import Ints, Observations
 
 PARAMETERS = ("beta", "theta", "eta")
@@ -284,7 +285,7 @@ class PersonEstimate(Result):
         if goals is None:
             return {}
         theta = self.estimates["theta"].value if "theta" in self.estimates else 0.5
-        found = goal_posteriors(o, self.estimates["beta"].value, theta, self.rate, self.method).tolist()
+        found = goal_posteriors(Data.of(o, self.method), self.estimates["beta"].value, theta, self.rate).tolist()
         return {
             name: dict(zip(goals.names, shares, strict=True)) for name, shares in zip(o.episodes, found, strict=True)
         }

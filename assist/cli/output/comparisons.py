@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
     """Compare choice models on the people in a log. Expected errors end the command in one line."""
-    from ...learning.model_comparison import compare_models
+    from ...learning.held_out import compare_models
     from ...people.terms import TERMS
 
     try:
@@ -39,7 +39,7 @@ def rules_compared(
     people: Sequence[Observations] | AdviceLog, name: str, method: Method, folds: int, *, carry: bool
 ) -> Comparison:
     """Compare trust rules on the people of a file with this name. Expected errors end the command in one line."""
-    from ...learning.rule_comparison import compare_rules
+    from ...learning.held_out import compare_rules
 
     try:
         with stages() as show:

@@ -43,7 +43,7 @@ def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs
 def _show_first(seen: Evidence, method: Method) -> None:
     """Print first estimates on stderr, where the search for the others must be compiled and they take a moment only."""
     from ...learning.first_estimates import first_estimates
-    from ...learning.profiles import at_hand
+    from ...learning.maximum_likelihood import at_hand
 
     if at_hand() or len(seen.recording) > FEW_ACTIONS:
         return

@@ -18,13 +18,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import simulated
 
-from assist.learning import rule_comparison
-from assist.learning.advice_fit import COMPARED, fit_advice, fit_model, fold_of, local_maximum
+from assist.learning import held_out
+from assist.learning.advice_fit import fit_advice, fit_model, local_maximum
 from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
 from assist.learning.advice_rules import DEFAULT_STEPS, RULES, Rule
+from assist.learning.held_out import COMPARED, compare_rules, fold_of
 from assist.learning.likelihood import Method
-from assist.learning.rule_comparison import compare_rules
 from assist.people.trust_rules import LEAST, Event, LogitSteps
 from planner.system.errors import InputFileError
 
@@ -336,7 +336,7 @@ def judgements(tmp_path: Path) -> Path:
 
 def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = {name: COMPARED[name] for name in ("base rates", "one theta", "constant", "outcome")}
-    monkeypatch.setattr(rule_comparison, "COMPARED", few)
+    monkeypatch.setattr(held_out, "COMPARED", few)
     done = invoke("fit", "--advice", judgements, "--influence", "constant", "--out", tmp_path / "one.jsonl")
     assert done.exit_code == 0, done.output
     assert "6 people, 36 choices" in done.stdout

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,6 @@ from conftest import invoke, kit
 from recorded import lines, observed, people_at_work, write_log
 from test_goal_fit import METHOD, fitted
 
-from assist.learning import profiles
 from assist.learning.choosing import with_model
 from assist.learning.first_estimates import first_estimates
 from assist.learning.likelihood import Data, Method
@@ -69,7 +69,9 @@ def test_the_command_prints_them_where_the_search_must_be_compiled(
 ) -> None:
     file = write_log(tmp_path / "log.jsonl", ROWS)
     for at_hand, count in ((True, 0), (False, 3)):
-        monkeypatch.setattr(profiles, "at_hand", lambda at_hand=at_hand: at_hand)
+        monkeypatch.setattr(
+            import_module("assist.learning.maximum_likelihood"), "at_hand", lambda at_hand=at_hand: at_hand
+        )
         result = invoke("fit", "kitting/paper", file, "--json")
         assert result.exit_code == 0
         assert result.stderr.count("first, ") == count

@@ -17,9 +17,8 @@ from simulated_people import People, observed, record, record_with_terms
 
 from assist.learning import Log, Method, compare_models, fit, hierarchy, mixture
 from assist.learning.comparison import folds_of
-from assist.learning.hierarchy import fit_hierarchy, intervals, with_rate
+from assist.learning.hierarchy import fit_hierarchy, intervals, pooled, with_rate
 from assist.learning.logit_likelihood import BETA, THETA, Likelihood, maximise
-from assist.learning.model_comparison import pooled
 from assist.learning.observations import Observations
 from assist.people import NOTHING, TERMS, Choices, Weighted, choice, influence, lapse, remembered
 from planner import Instance, Table, sweep
@@ -45,10 +44,6 @@ def alone() -> Likelihood:
     return Likelihood.of(observed(paper(), list(rows()), TERMS), Method())
 
 
-def every_step() -> np.ndarray:
-    return np.ones(len(alone().steps), dtype=bool)
-
-
 @cache
 def advised() -> tuple[Likelihood, Observations]:
     """Return the data of a person who receives suggestions, and whose trust changes."""
@@ -60,7 +55,7 @@ def advised() -> tuple[Likelihood, Observations]:
 
 def test_derivatives_are_those_of_differences() -> None:
     for likelihood in (alone(), advised()[0]):
-        people = len(likelihood.steps.people)
+        people = len(likelihood.people)
         at = np.tile([4.0, 0.2, *WEIGHTS], (people, 1)) + np.random.default_rng(0).normal(0, 0.1, (people, 6))
         value, gradient, curvature = likelihood.derivatives(at)
         assert value.shape == (people,)
@@ -110,7 +105,7 @@ def test_weights_mean_what_a_choice_model_makes_of_them(tiny: Table) -> None:
 
 
 def test_newton_finds_what_scipy_finds() -> None:
-    whole = replace(alone(), steps=alone().steps.together())
+    whole = alone().together()
     fixed = np.array([[False, True, False, False, False, False]])
     at, value, _ = maximise(whole, np.zeros((1, 6)), fixed)
     best = minimize(
@@ -126,7 +121,7 @@ def test_intervals_end_where_the_profile_likelihood_has_fallen() -> None:
     ranges, axis = alone().ranges, 2
     checked = 0
     for k in range(COUNT):
-        only = replace(alone(), steps=replace(alone().steps.only(alone().steps.person == k).together()))
+        only = alone().together(alone().steps.person == k)
         for end in (low[k, axis], high[k, axis]):
             if abs(end) >= ranges.high[axis]:
                 continue
@@ -141,7 +136,7 @@ def test_intervals_end_where_the_profile_likelihood_has_fallen() -> None:
 
 def test_people_are_recovered_and_lean_on_each_other() -> None:
     found = fit_hierarchy(alone())
-    whole, at = replace(alone(), steps=alone().steps.together()), pooled(alone(), every_step()).at
+    whole, at = alone().together(), pooled(alone())[1]
     deviation = np.sqrt(np.diag(np.linalg.inv(np.delete(np.delete(whole.derivatives(at)[2][0], 1, 0), 1, 1))))[1:]
     assert (np.abs(found.mean[2:] - WEIGHTS) < 3 * deviation).all()
     own, _, _ = maximise(alone(), found.at, np.tile([False, True, False, False, False, False], (COUNT, 1)))
@@ -193,7 +188,7 @@ def test_whoever_is_predicted_was_not_seen() -> None:
     learned, counts = ~predicted, np.bincount(boltzmann.steps.person)
 
     def minus(coordinate: float, which: np.ndarray) -> float:
-        some = replace(boltzmann, steps=boltzmann.steps.only(which).together())
+        some = boltzmann.together(which)
         return -float(some.derivatives(np.array([[coordinate, 0.0]]))[0][0])
 
     best = minimize_scalar(lambda x: minus(x, learned), bounds=(0.0, boltzmann.ranges.high[BETA]), method="bounded")
@@ -217,7 +212,7 @@ def test_terms_predict_people_better_whose_choices_follow_them() -> None:
         found["terms"].nats_per_choice
     )
     assert found["terms"].difference < 0
-    at = pooled(alone(), every_step()).at
+    at = pooled(alone())[1]
     assert list(found["terms"].parameters.values())[1:] == pytest.approx(at[0, 2:], abs=1e-3)
 
 
