@@ -64,7 +64,7 @@ ROOMS = {
     "assist.live": """continuations contrast explanation names live_task advice roster seen_suggestions
         uncertain_actions beliefs live_questions decision_point robot_places decisions knowledge desk event_base events
         reports record assistant store people_store header history team session simulated_person trace_reasons""",
-    "assist.studies": "study protocol tasks cells runner own_code",
+    "assist.studies": "study plan_tables protocol tasks cells runner own_code",
     "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
         participant_team roll teams events record cohort session tables export
         forecast""",
@@ -91,7 +91,7 @@ ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file
 ORDER.remove("planner")
 # With all that is in them.
 MAY_READ_PDDL = (
-    *(f"assist.studies.{file}" for file in ("study", "tasks", "cells", "protocol", "own_code")),
+    *(f"assist.studies.{file}" for file in ("study", "plan_tables", "tasks", "cells", "protocol", "own_code")),
     "assist.drawing",
     "assist.connect.teams",
     "assist.connect.rendering",

@@ -5,16 +5,14 @@ Every error names the file and the place in it.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
-from planner import Instance, find_instances
-from planner.pddl.instance_finder import bundled_files
+from planner import Instance
 from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
 
@@ -27,16 +25,12 @@ from ..declare.declared import (
     Texts,
     declared,
     names_of,
-    shown,
 )
 from ..declare.tables import convert, fault, label, load, located, replaced
-from ..learning import population as populations
 from ..people.ranges import Population
-from ..people.real_people import advice_takers
-from ..people.terms import TERMS
-from ..people.user_code import parse
 from ..person.settings import Setting
 from ..team.policy_names import POLICIES
+from .plan_tables import among, different, own_policy, population, tasks
 from .study import OWN, Condition, Contrast, Reference, Study, StudyPlan
 
 PROTOCOLS = Path(__file__).parent / "protocols"
@@ -135,28 +129,23 @@ class Reader:
         """Return the study."""
         table = self.table
         instances = self._instances()
-        people = {name: self._population(name, own) for name, own in table.populations.items()}
+        people = {name: population(self.file, f"populations.{name}", own) for name, own in table.populations.items()}
         people = people or {"everybody": Population()}
         policies = self._policies("policies", table.policies)
-        setting = self._setting("setting", table.setting, Setting())
+        setting = replaced(Setting(), table.setting, self.file, "setting")
         names = tuple(label for label, _ in instances)
         tables = (ConditionTable("team size"),) if table.conditions is None else table.conditions
-        if not tables:
-            raise fault(self.file, "conditions", "[]; expected one table or more")
+        different(self.file, "conditions", [one.name for one in tables])
         conditions = [
             self._condition(f"conditions[{number}]", own, names, tuple(people), policies, setting)
             for number, own in enumerate(tables, start=1)
         ]
-        for number, condition in enumerate(conditions):
-            if condition.name in {other.name for other in conditions[:number]}:
-                place = f"conditions[{number + 1}].name"
-                raise fault(self.file, place, f"there are two conditions '{condition.name}'; expected different names")
         first = conditions[0]
         focus = table.focus or ("attention" if "attention" in first.policies else first.policies[-1])
-        self._among("focus", (focus,), first.policies)
+        among(self.file, "focus", (focus,), first.policies)
         for number, own in enumerate(table.contrasts, start=1):
-            self._among(f"contrasts[{number}].of", own.of, people)
-            self._among(f"contrasts[{number}].to", own.to, people)
+            among(self.file, f"contrasts[{number}].of", own.of, people)
+            among(self.file, f"contrasts[{number}].to", own.to, people)
         self._check_reference(people, first)
         return Study(
             **{name: getattr(table, name) for name in names_of(StudyPlan)}, file=self.file,
@@ -175,82 +164,32 @@ class Reader:
             raise fault(self.file, f"{place}.humans", message)
         settings = {}
         for number, part in enumerate(own.settings or [{}], start=1):
-            settings[label(part)] = self._setting(f"{place}.settings[{number}]", part, setting)
+            settings[label(part)] = replaced(setting, part, self.file, f"{place}.settings[{number}]")
         return Condition(
-            name=own.name, populations=self._among(f"{place}.populations", own.populations or people[:1], people),
-            instances=self._among(f"{place}.instances", own.instances or instances, instances),
+            name=own.name, populations=among(self.file, f"{place}.populations", own.populations or people[:1], people),
+            instances=among(self.file, f"{place}.instances", own.instances or instances, instances),
             policies=self._policies(f"{place}.policies", own.policies) if own.policies else policies, humans=humans,
-            settings=tuple(settings.items()), priors=self._among(f"{place}.priors", own.priors, (OWN, *people)),
+            settings=tuple(settings.items()), priors=among(self.file, f"{place}.priors", own.priors, (OWN, *people)),
             repeats=own.repeats,
         )  # fmt: skip
 
-    def _among(self, place: str, names: Iterable[str], allowed: Iterable[str]) -> tuple[str, ...]:
-        """Return the names without duplicates. Unknown names raise `InputFileError`."""
-        for name in names:
-            if name not in (known := tuple(allowed)):
-                raise fault(self.file, place, f"'{name}'; {meant(name, known)}")
-        return tuple(dict.fromkeys(names))
-
     def _instances(self) -> tuple[tuple[str, Instance], ...]:
         """Return the tasks. Each is labelled with its file's name, or with its path if several files share the name."""
-        folder = self.file.parent
-        known = {name: bundled_files(name) for name in self.table.instances if not (folder / name).exists()}
-        try:
-            found = [find_instances(known.get(n) or [folder / n]) for n in dict.fromkeys(self.table.instances)]
-        except InputFileError as error:
-            raise fault(self.file, "instances", str(error)) from None
-        problems = [instance for instances in found for instance in instances]
+        named = dict.fromkeys(self.table.instances)
+        problems = [instance for name in named for instance in tasks(self.file, "instances", name)]
         stems = [instance.problem.stem for instance in problems]
         labels = [s if stems.count(s) == 1 else str(i.problem) for s, i in zip(stems, problems, strict=True)]
         return tuple(zip(labels, problems, strict=True))
-
-    def _population(self, name: str, content: dict[str, Any]) -> Population:
-        """Read a population: ranges, real people's influence, or a file written by `kitassist fit`."""
-        place = f"populations.{name}"
-        for key, others in (("file", set[str]()), ("advice_takers", {"beta", "sigma"})):
-            if key in content and (more := set(content) - {key, *others}):
-                message = f"{key} also sets {' and '.join(sorted(more))}; expected one of them"
-                raise fault(self.file, place, message)
-        if "advice_takers" in content:
-            if content["advice_takers"] is not True:
-                raise fault(self.file, f"{place}.advice_takers", f"{shown(content['advice_takers'])}; expected true")
-            ranges = {key: value for key, value in content.items() if key != "advice_takers"}
-            own = convert(ranges, Population, self.file, place)
-            return advice_takers(own.beta, own.sigma)
-        if "file" not in content:
-            return self._known(place, convert(content, Population, self.file, place))
-        try:
-            path = self.file.parent / content["file"]
-            return self._known(place, populations.mixture(json.loads(path.read_text(encoding="utf-8"))))
-        except InputFileError:
-            raise
-        except TypeError:
-            raise fault(self.file, f"{place}.file", f"{shown(content['file'])}; expected a text") from None
-        except OSError as error:
-            raise fault(self.file, f"{place}.file", f"{error.filename}: {error.strerror}") from None
-        except ValueError as error:
-            raise fault(self.file, f"{place}.file", str(error)) from None
-
-    def _known(self, place: str, population: Population) -> Population:
-        """Return the population, after checking that all its weights belong to known terms."""
-        for name in population.weights:
-            if name not in TERMS:
-                raise fault(self.file, f"{place}.weights", f"'{name}'; {meant(name, TERMS)}")
-        return population
 
     def _policies(self, place: str, named: Iterable[str]) -> tuple[str, ...]:
         """Return the names of policies. A user's policy FILE.py:FUNCTION is named after its function."""
         names = []
         for name in dict.fromkeys(named):
-            own = parse(name, self.file.parent)
+            own = own_policy(self.file, place, name)
             if own is None:
-                if name not in POLICIES:
-                    raise fault(self.file, place, f"'{name}'; {meant(name, POLICIES, ', or FILE.py:FUNCTION')}")
                 names.append(name)
                 continue
-            where, function = own
-            if not where.is_file():
-                raise fault(self.file, place, f"{where}: no such file")
+            function = own[1]
             if function in POLICIES:
                 message = f"'{function}' is a policy of the package; expected another name"
                 raise fault(self.file, place, message)
@@ -259,10 +198,6 @@ class Reader:
                 raise fault(self.file, place, message)
             names.append(function)
         return tuple(names)
-
-    def _setting(self, place: str, content: dict[str, Any], base: Setting) -> Setting:
-        """Return a setting that replaces the given fields of `base`."""
-        return replaced(base, content, self.file, place)
 
     def _check_reference(self, people: Iterable[str], first: Condition) -> None:
         """Check the names in the reference."""
@@ -274,5 +209,5 @@ class Reader:
             if key not in known:
                 raise fault(self.file, f"reference.headline.{key}", f"unknown; {meant(key, sorted(known))}")
         for number, own in enumerate(table.interventions, start=1):
-            self._among(f"reference.interventions[{number}].populations", own.populations, people)
-        self._among("reference.contrasts", table.contrasts, [contrast.name for contrast in self.table.contrasts])
+            among(self.file, f"reference.interventions[{number}].populations", own.populations, people)
+        among(self.file, "reference.contrasts", table.contrasts, [contrast.name for contrast in self.table.contrasts])

@@ -14,9 +14,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from planner import Instance, find_instances
+from planner import Instance
 from planner.pddl.instance_finder import bundled_files
-from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
 
 from ...declare.catalogue import FIRST, Catalogue, catalogue
@@ -24,9 +23,8 @@ from ...declare.declared import AnyTable, Expected, Text, Texts, Truth, Whole, d
 from ...declare.tables import convert, fault, load, located, replaced
 from ...people.ranges import Population
 from ...people.real_people import advice_takers
-from ...people.user_code import parse
 from ...person.settings import Setting
-from ...team.policy_names import POLICIES
+from ..plan_tables import OF_ADVICE_TAKERS, among, different, own_policy, population, tasks
 from .outcomes import OUTCOMES
 from .plan import WITHIN, Condition, UserStudy, UserStudyPlan
 from .questionnaire_file import questionnaires_of
@@ -126,10 +124,9 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     if table.design == WITHIN and len(names) < 2:
         raise fault(file, "design", f"'{WITHIN}' with one condition; expected two or more")
     reference = table.reference or names[0]
-    if reference not in names:
-        raise fault(file, "reference", f"'{reference}'; {meant(reference, names)}")
-    tasks = [found(f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
-    stems = [task.problem.stem for task in tasks]
+    among(file, "reference", [reference], names)
+    instances = [found(f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
+    stems = [task.problem.stem for task in instances]
     if len(set(stems)) < len(stems):
         raise fault(file, "tasks", "two tasks have the same file name; expected different names")
     words = _words(file, table.language, carried_out)
@@ -148,11 +145,12 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     study = UserStudy(
         **{name: getattr(table, name) for name in names_of(UserStudyPlan)},
         file=file, digest=hashlib.sha256(file.read_bytes()).hexdigest()[:32], title=table.title or file.stem,
-        tasks=tuple(zip(stems, tasks, strict=True)),
+        tasks=tuple(zip(stems, instances, strict=True)),
         practice=None if table.practice is None else found("practice", table.practice),
         conditions=conditions, reference=reference,
         simulated=table.simulated if table.simulated is not None else 2 if table.group is None else 0,
-        setting=setting, population=_population(file, table.population), questionnaires=questionnaires, catalogue=words,
+        setting=setting, population=_population(file, table.population, carried_out),
+        questionnaires=questionnaires, catalogue=words,
         texts={"consent": table.consent, "instructions": table.instructions,
                "thanks": table.thanks or words("study.thanks_text")},
     )  # fmt: skip
@@ -208,21 +206,10 @@ def _check_comparisons(file: Path, study: UserStudy) -> None:
 
 
 def _conditions(file: Path, tables: tuple[ConditionTable, ...], carried_out: bool) -> list[str]:
-    if not tables:
-        raise fault(file, "conditions", "[]; expected one table or more")
-    names: list[str] = []
+    names = [own.name for own in tables]
+    different(file, "conditions", names)
     for number, own in enumerate(tables, start=1):
-        place = f"conditions[{number}]"
-        if own.name in names:
-            raise fault(file, f"{place}.name", f"there are two conditions '{own.name}'; expected different names")
-        names.append(own.name)
-        found = parse(own.policy, file.parent)
-        if found is None and own.policy not in POLICIES:
-            raise fault(
-                file, f"{place}.policy", f"'{own.policy}'; {meant(own.policy, POLICIES, ', or FILE.py:FUNCTION')}"
-            )
-        if found is not None and not carried_out and not found[0].is_file():
-            raise fault(file, f"{place}.policy", f"{found[0]}: no such file")
+        own_policy(file, f"conditions[{number}].policy", own.policy, must_exist=not carried_out)
     return names
 
 
@@ -230,12 +217,8 @@ def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instan
     problem = file.parent / name
     if carried_out:
         return Instance(problem, problem.with_name("domain.pddl"))
-    known = [] if problem.exists() else bundled_files(name)
-    try:
-        found = find_instances(known or [problem])
-    except InputFileError as error:
-        raise fault(file, place, str(error)) from None
-    if len(found) != 1 or (not known and found[0].problem.name != problem.name):
+    found = tasks(file, place, name)
+    if len(found) != 1 or (found[0].problem.name != problem.name and not bundled_files(name)):
         raise fault(file, place, f"'{name}' matches {len(found)} problems; expected the file of one")
     return found[0]
 
@@ -256,7 +239,15 @@ def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Set
     return setting
 
 
-def _population(file: Path, content: dict[str, Any]) -> Population:
+def _population(file: Path, content: dict[str, Any], carried_out: bool) -> Population:
     """Return the prior over participants, whose influence is that of real people unless it is given."""
-    found = convert(content, Population, file, "population")
-    return found if "theta" in content else advice_takers(found.beta, found.sigma)
+    if "file" in content:
+        raise fault(file, "population.file", "given; expected ranges, as the study's folder has no other file")
+    if carried_out:  # reports tell ranges, and the file of a choice model may be missing
+        content = {name: value for name, value in content.items() if name != "chooses"}
+    found = population(file, "population", content)
+    if {"theta", "parts", "advice_takers"} & set(content):
+        return found
+    if others := set(content) - {*OF_ADVICE_TAKERS}:
+        raise fault(file, "population", f"{' and '.join(sorted(others))} without theta; expected theta as well")
+    return advice_takers(found.beta, found.sigma, chooses=found.chooses)

@@ -17,6 +17,7 @@ from planner.system.errors import expected as meant
 from ...declare.catalogue import Catalogue
 from ...declare.declared import shown
 from ...declare.tables import convert, fault
+from ..plan_tables import different
 from .questionnaires import (
     BEFORE,
     CHOICE,
@@ -68,15 +69,13 @@ def questionnaires_of(
     InputFileError
         A table is invalid; the message names its place and what would be right.
     """
-    found: list[Questionnaire] = []
-    for number, table in enumerate(tables, start=1):
-        place = f"questionnaires[{number}]"
-        one = _questionnaire(file, place, table, texts)
-        if one.name in {other.name for other in found}:
-            raise fault(file, place, f"there are two questionnaires '{one.name}'; expected different names")
+    places = [f"questionnaires[{number}]" for number in range(1, len(tables) + 1)]
+    found = tuple(_questionnaire(file, place, table, texts) for place, table in zip(places, tables, strict=True))
+    if found:
+        different(file, "questionnaires", [one.name for one in found])
+    for place, one in zip(places, found, strict=True):
         _check_conditions(file, place, one, conditions, within=within)
-        found.append(one)
-    return tuple(found)
+    return found
 
 
 def _questionnaire(file: Path, place: str, table: Table, texts: Catalogue) -> Questionnaire:

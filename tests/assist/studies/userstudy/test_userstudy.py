@@ -26,6 +26,7 @@ from userstudies import PLAN, SCORES, Open, Part, opened, written
 from assist.declare import InapplicableError
 from assist.live.events import kinds
 from assist.live.store import stored
+from assist.people.user_code import UserChoiceModel
 from assist.studies.reports.userstudy_summary import summarise
 from assist.studies.userstudy import events
 from assist.studies.userstudy.assignment import balanced_orders
@@ -77,10 +78,12 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
     [
         ("seed = 3", "tick = 0", "tick: 0; expected a number of seconds above 0"),
         ("seed = 3", "population = {beta = [2, 1]}", r"population.beta: \[2, 1\]; expected two numbers"),
+        ("seed = 3", 'population = {file = "p.json"}', "population.file: given; expected ranges"),
+        ("seed = 3", "population = {weights = {back = [0, 1]}}", "population: weights without theta; expected theta"),
         ("c_move = 0.01", "execute = true", "setting.execute: true; expected a robot that suggests"),
         ('policy = "attention"', 'policy = "own.py:mine"', r"conditions\[2\].policy: .*own.py: no such file"),
         ('name = "trust"', 'name = "1st"', r"questionnaires\[2\].name: '1st'; expected a letter"),
-        ('name = "trust"', 'name = "nasa-tlx"', r"questionnaires\[2\]: there are two questionnaires 'nasa-tlx'"),
+        ('name = "trust"', 'name = "nasa-tlx"', r"questionnaires\[2\].name: there are two questionnaires 'nasa-tlx'"),
         ('form = "likert"', 'form = "nasa-tlx"', r"questionnaires\[2\].items: the form nasa-tlx has fixed items"),
         ('form = "nasa-tlx"', 'form = "text"\nname = "more"', r"questionnaires\[1\]: items: is missing"),
         ('/tiny.pddl"]', '/tiny.pddl", "kitting/tiny"]', "tasks: two tasks have the same file name"),
@@ -96,6 +99,19 @@ def test_a_file_that_cannot_be_carried_out_is_refused(tmp_path: Path, right: str
 def test_a_task_that_comes_with_the_package_is_found_by_its_name(tmp_path: Path) -> None:
     study = read(written(tmp_path / "study.toml", PLAN.replace(f"{KITTING}/tiny.pddl", "kitting/tiny")))
     assert study.tasks == (("tiny", Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl")),)
+
+
+def test_people_may_choose_by_a_model_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("def choose(choices, q, beta):\n    return -q\n")
+    file = written(tmp_path / "study.toml", f'population = {{chooses = "own.py:choose", beta = [1, 2]}}\n{PLAN}')
+    parts = read(file).population.parts
+    assert {(part.chooses, part.beta) for part in parts} == {(parts[0].chooses, (1.0, 2.0))}
+    assert isinstance(parts[0].chooses, UserChoiceModel)
+    (tmp_path / "data").mkdir()
+    copy = written(tmp_path / "data" / "study.toml", file.read_text())
+    with pytest.raises(InputFileError, match=r"own\.py: no such file"):
+        read(copy)
+    assert read(copy, carried_out=True).population.beta == (1.0, 2.0)  # for the report
 
 
 KINDS = ["visited"] * 2 + ["onward"] * 12 + ["withdrew", "left", "left", "returned"]
