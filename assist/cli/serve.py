@@ -12,10 +12,11 @@ import click
 from planner.system.errors import InputFileError
 
 from ..declare.options import Given
+from .options.bridges import bridge_of
 from .options.common import INPUT_FILE
 from .options.config import config_option, configurable
 from .options.help import command
-from .options.live import bridge_of, changed_settings, live_options, plan_of
+from .options.live import changed_settings, live_options, plan_of
 from .options.policies import policy_errors
 from .options.settings import LiveSetting
 from .terminal.console import note
@@ -81,12 +82,16 @@ def serve(
             public_url=public_url,
             trusted_proxies=trusted_proxy,
         )
+        if beside is not None:
+            beside.require_possible(plan.tasks.values())
         try:
             session = plan.session()
         except InputFileError:
             raise
         except ValueError as error:
             raise click.UsageError(str(error)) from None
+    for remark in () if beside is None else beside.strangers(session.people):
+        note(remark)
     listening = listen(host, port, public_url)
 
     def ready(access: AccessTokens, people: tuple[str, ...]) -> None:

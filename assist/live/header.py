@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
 from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
@@ -90,19 +89,20 @@ def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, An
     Raises
     ------
     InputFileError
-        The file belongs to another session; the message states the difference.
+        The file belongs to another session; the message states all differences.
     """
     if "format" in expected:
         require_version(file, found, expected["format"])
-    files = expected.get("files", {})
-    for name, value in expected.items():
-        if name not in ("files", "version") and found.get(name) != value:
-            if name == "tasks" and isinstance(found.get(name), dict):
-                raise InputFileError(f"{file}: {_others(found, value, files)}")
-            raise InputFileError(
-                f"{file}: the session there has {_shown(name, found.get(name), value)}; "
-                "expected the same, or another folder"
-            )
+    differ = {n: v for n, v in expected.items() if n not in ("files", "version") and found.get(n) != v}
+    if not differ:
+        return
+    said, tasks = list[str](), differ.get("tasks")
+    if tasks is not None and isinstance(found.get("tasks"), dict):
+        said.append(_others(found, differ.pop("tasks"), expected.get("files", {})))
+    if differ:
+        shown = (one for name, value in differ.items() for one in _shown(name, found.get(name), value))
+        said.append(f"the session there has {'; '.join(shown)}")
+    raise InputFileError(f"{file}: {'; '.join(said)}; expected the same, or another folder")
 
 
 def _kind(format: str) -> str:
@@ -116,21 +116,19 @@ def _others(header: Mapping[str, Any], tasks: dict[str, str], files: dict[str, s
     wrong = [name for name in tasks if before.get(name) != tasks[name]] or list(tasks)
     same = [name for name in wrong if name in before and kept.get(name, files.get(name)) == files.get(name)]
     if same:
-        return f"the task {same[0]} is another than when the session began; expected the same files, or another folder"
+        return f"the file of the task {same[0]} is another than when the session began"
 
     def named(names: Iterable[str], where: Mapping[str, str | None]) -> str:
         return ", ".join(f"{name} ({where[name]})" if where.get(name) else name for name in names)
 
-    return (
-        f"the session there is of the task {named(before, kept)}, not {named(tasks, files)}; "
-        "expected the same, or another folder"
-    )
+    return f"the session there is of the task {named(before, kept)}, not {named(tasks, files)}"
 
 
-def _shown(name: str, found: Any, expected: Any) -> str:
-    """Return a short description of the difference."""
-    with suppress(AttributeError):
-        for part, value in expected.items():
-            if found.get(part) != value:
-                return f"{name} {part} {str(found.get(part))[:60]}, not {str(value)[:60]}"
-    return f"{name} {str(found)[:60]}, not {str(expected)[:60]}"
+def _shown(name: str, found: Any, expected: Any) -> Iterator[str]:
+    """Yield a short description of each part that differs."""
+    if isinstance(found, Mapping) and isinstance(expected, Mapping):
+        for part in {**expected, **found}:
+            if found.get(part) != expected.get(part):
+                yield from _shown(f"{name} {part}", found.get(part), expected.get(part))
+    else:
+        yield f"{name} {str(found)[:60]}, not {str(expected)[:60]}"

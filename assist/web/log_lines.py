@@ -41,10 +41,11 @@ class TextLines(logging.Formatter):
 
 
 def write_log(form: Literal["text", "json"]) -> None:
-    """Write the log of this process to stderr: warnings, and as JSON also a line for each report."""
+    """Write the log of this process to stderr: warnings and connections; as JSON also a line for each report."""
     handler = logging.StreamHandler()
     handler.setFormatter(TextLines() if form == "text" else JsonLines())
     logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
+    logging.getLogger("assist.connect").setLevel(logging.INFO)
     if form == "json":
         logging.getLogger("assist").setLevel(logging.INFO)
         logging.getLogger(f"{__package__}.reports").setLevel(logging.INFO)

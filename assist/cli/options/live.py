@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,7 @@ import click
 
 from planner import Instance, find_instances
 from planner.batch.results_folder import SolveOptions
-from planner.system.errors import InputFileError, MissingExtraError, expected
+from planner.system.errors import InputFileError, expected
 
 from ...declare.catalogue import catalogue
 from ...declare.options import Given, setting_options
@@ -29,12 +28,11 @@ from .travel import travel_of
 if TYPE_CHECKING:
     from planner import CostToGo
 
-    from ...connect.bridges.transport import Transport
     from ...live.event_base import TeamEvent
     from ...live.session import Session
     from ...people.goals import Goals
     from ...web.server import ServedTeam
-    from ...web.service import Bridge, ReadAgain
+    from ...web.service import ReadAgain
 
 
 def live_options(command: Command) -> Command:
@@ -176,74 +174,6 @@ def _require_known(chosen: Mapping[str, str], people: Collection[str], tasks: Co
         for what, one, known in (("person", name, people), ("task", task, tasks)):
             if one not in known:
                 raise click.UsageError(f"tasks.{name}: there is no {what} {one!r}; {expected(one, list(known))}")
-
-
-TRANSPORTS = {
-    "rosbridge": ("ROS 2", "ros2"), "own_server": ("OPC UA", "opcua"), "server": ("OPC UA", "opcua"),
-    "broker": ("MQTT", "mqtt"),
-}  # fmt: skip
-"""The protocol and the extra of each table that a bridge's settings may have. Without one of these, it is MQTT."""
-
-
-def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
-    """Read the settings of a bridge of so many robots; return a function that makes it, given the operator's link.
-
-    Only the packages of its own protocol are needed.
-
-    Raises
-    ------
-    MissingExtraError
-        The packages of the bridge's extra are not installed.
-    click.UsageError
-        The settings are faulty, or a file of the TLS settings cannot be read.
-    """
-    from ...declare import tables as toml
-
-    try:
-        tables = toml.load(file)
-        table = next((name for name in TRANSPORTS if name in tables), "broker")
-        protocol, extra = TRANSPORTS[table]
-        try:
-            from ...connect.bridges import kernel  # noqa: F401  which needs a client of HTTP
-
-            return partial(_bridge, _transport(table, file, robots))
-        except MissingExtraError:
-            raise
-        except ImportError as error:
-            raise MissingExtraError(f"the {protocol} bridge needs", str(error.name), extra) from None
-    except (InputFileError, OSError) as error:
-        raise click.UsageError(str(error)) from None
-
-
-def _transport(table: str, file: Path, robots: int) -> Callable[[], Transport]:
-    """Read the settings of a bridge; return a function that makes its transport."""
-    if table == "rosbridge":
-        from ...connect.bridges.ros2 import Ros2
-        from ...connect.bridges.ros2_settings import Ros2Settings
-
-        return partial(Ros2, Ros2Settings.read(file, robots), robots)
-    if table in ("own_server", "server"):
-        from ...connect.bridges import opcua, opcua_server
-        from ...connect.bridges.opcua_settings import OpcUaSettings, OwnServerSettings
-
-        opcua.library()
-        if table == "own_server":
-            return partial(opcua_server.OwnServer, OwnServerSettings.read(file), robots)
-        return partial(opcua.OpcUa, OpcUaSettings.read(file))
-    from ...connect.bridges import mqtt
-    from ...connect.bridges.mqtt_settings import MqttSettings
-
-    mqtt.library()
-    settings = MqttSettings.read(file, robots)
-    settings.context()
-    return partial(mqtt.Mqtt, settings, robots)
-
-
-def _bridge(transport: Callable[[], Transport], link: str, **options: Any) -> Bridge:
-    """Return the bridge of a transport, given the operator's link and options as in `assist.connect.bridges.Bridge`."""
-    from ...connect.bridges import kernel
-
-    return kernel.Bridge(transport(), link, **options)
 
 
 def _named(instances: list[Instance]) -> dict[str, Instance]:

@@ -11,6 +11,7 @@ from .ros2_settings import Ros2Settings as Ros2Settings
 from .transport import Answer as Answer
 from .transport import Drove as Drove
 from .transport import Faulty as Faulty
+from .transport import Kept as Kept
 from .transport import Located as Located
 from .transport import Message as Message
 from .transport import Output as Output

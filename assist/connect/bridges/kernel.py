@@ -24,7 +24,7 @@ from .errands import Errands
 from .ordering import InOrder
 from .session_client import SessionClient
 from .tasks import Tasks, together
-from .transport import Answer, Drove, Faulty, Located, Message, Output, Reported, Resumed, Transport
+from .transport import Answer, Drove, Faulty, Kept, Located, Message, Output, Reported, Resumed, Transport
 
 LOG = logging.getLogger(__name__)
 
@@ -77,6 +77,7 @@ class Bridge:
         self._session = SessionClient(link)
         transport.session = self._session.session
         self._present: set[str] = set()
+        self._met, self._old = False, set[str]()  # whether it is known who is present; whom old advice is for
         self._errands: Errands | None = None
         self._senders: dict[str, _Sender] = {}
         self._tasks = Tasks()
@@ -135,8 +136,10 @@ class Bridge:
             began, why = loop.time(), "the connection was closed"
             try:
                 async with transport.connect():
-                    if lost:
-                        LOG.warning("%s: connected to %s again", self.name, transport.address())
+                    if lost or not self.counts["connections"]:
+                        again = " again" if self.counts["connections"] else ""
+                        LOG.log(logging.WARNING if lost else logging.INFO, "%s: connected to %s%s", self.name,
+                                transport.address(), again)  # fmt: skip
                     lost, began = False, loop.time()
                     self.counts["connections"] += 1
                     await self._converse()
@@ -237,6 +240,9 @@ class Bridge:
                 sender = self._senders.setdefault(message.person, _Sender())
                 sender.answered = max(sender.answered, message.next - 1)
                 self._hand_over(message.person, sender.order.resume(message.next))
+            case Kept():
+                self._old.add(message.person)
+                self._remove_old()
             case Drove() if self._errands is not None:
                 self._errands.drove(message)
         message.done()
@@ -329,7 +335,8 @@ class Bridge:
             if kind == "people":
                 for person in self._present - set(content["people"]):  # they left while there was no connection
                     self._advise(person, None)
-                self._present = set(content["people"])
+                self._present, self._met = set(content["people"]), True
+                self._remove_old()
             elif kind in ("view", "left"):
                 self._advise(content["person"], content if kind == "view" else None)
                 (self._present.add if kind == "view" else self._present.discard)(content["person"])
@@ -347,6 +354,13 @@ class Bridge:
         elif view["seq"] >= self._seen.get(person, 0):
             self._seen[person] = view["seq"]
             self._put_changed(self.transport.advice(person, view))
+
+    def _remove_old(self) -> None:
+        """Remove advice to people who are not present, as soon as it is known who is."""
+        while self._met and self._old:
+            if (person := self._old.pop()) not in self._present:
+                self.put(self.transport.advice(person, None))
+                self.put(self.transport.forget(person))
 
     # Robots.
 

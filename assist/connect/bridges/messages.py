@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -18,12 +18,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from ...declare import tables as toml
-from ...declare.declared import DeclarationError, Expected, Text, declared, spelt
+from ...declare.declared import DeclarationError, Expected, Place, Text, declared, spelt
 from ...declare.refusals import Refusal
 from ...declare.tables import convert, located, told
 from ...live.event_base import OfPerson, fault_of
 from ...live.events import kinds
-from ...people.action_names import wrong_form
+from ...people.action_names import Words, words_of, wrong_form
+from ...people.choices import STAND_STILL
 
 Fields = dict[str, str]
 """Fields of a message, as texts."""
@@ -31,6 +32,7 @@ Fields = dict[str, str]
 FIELD = re.compile(r"\{(\w+)\}")
 LEVEL = re.compile(r"\{(\w+)\}|[^{}+#]*")
 WORD = re.compile(r"[^\s()]+")
+MANY = 20  # names that a message lists
 LONGEST_ID = 128  # characters, as the service accepts
 
 
@@ -292,18 +294,24 @@ class Source:
     def report(self, fields: Fields, names: Mapping[str, str]) -> Report:
         """Return what a message with these fields reports; `names` are the task's names of values.
 
-        An unusable action is part of the report, since the report may have a number that others wait for.
+        An unusable action or number is part of the report: it is answered with the report's id, and others may wait for
+        the report's number.
 
         Raises
         ------
         Refusal
-            The person, the id or a number is missing or unsuitable.
+            The person or the id is missing or unsuitable.
         """
         identifier = filled(self.id or "{id}", fields, {})
         if not 0 < len(identifier) <= LONGEST_ID:
             raise unusable(f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
-        person, number = filled(getattr(self, "person", "{person}"), fields, {}), self._whole("number", fields, 1)
-        kind, seq = getattr(self, "event", "acted"), self._whole("seq", fields, 0)
+        person, kind = filled(getattr(self, "person", "{person}"), fields, {}), getattr(self, "event", "acted")
+        number, seq = None, None
+        try:
+            number = self._whole("number", fields, 1)
+            seq = self._whole("seq", fields, 0)
+        except Refusal as error:
+            return Report(person, identifier, kind, number=number, fault=str(error))
         known = [*kinds(OfPerson)[kind].fields()]
         values = {
             name: fields[name] for name in known if name in fields and name not in ("person", "id", "action", "seq")
@@ -314,6 +322,19 @@ class Source:
         except Refusal as error:
             return Report(person, identifier, kind, values, number, str(error))
         return Report(person, identifier, kind, values, number)
+
+    def impossible(self, actions: Collection[Words]) -> str | None:
+        """Return what is wrong with the template of an action, if it can never be one of these; else None."""
+        words = words_of(FIELD.sub("{}", self.action))
+        if words in ((), ("{}",)) or "action" not in kinds(OfPerson)[getattr(self, "event", "acted")].fields():
+            return None
+        there = {*actions, words_of(STAND_STILL)}
+        for place, word in enumerate(words):
+            among = {action[place] for action in there if len(action) > place}
+            there = {action for action in there if len(action) > place and ("{" in word or action[place] == word)}
+            if not there:
+                return f"{self.action!r} fits no action of the tasks; {_meant(word, among)}"
+        return None
 
     def _whole(self, name: str, fields: Fields, least: int) -> int | None:
         """Return the whole number that a template stands for; None without a template."""
@@ -326,18 +347,33 @@ class Source:
         return int(text)
 
 
-def wrong(message: str, *place: str) -> DeclarationError:
+def wrong(message: str, *place: str | int) -> DeclarationError:
     """Return the error of a value at a place of the settings."""
     return DeclarationError(place, None, message, f"{spelt(place)}: {message}")
+
+
+def numbered(name: str, tables: Source | tuple[Source, ...]) -> Iterator[tuple[Place, Source]]:
+    """Yield a table, or each of a list, with its place in a file."""
+    if isinstance(tables, tuple):
+        yield from (((name, number), table) for number, table in enumerate(tables))
+    else:
+        yield (name,), tables
+
+
+def _meant(name: str, known: Collection[str]) -> str:
+    """Return the hint of a message about an unknown name: the nearest one, or the first of all."""
+    near = get_close_matches(name, known, n=1, cutoff=0.75)  # a slip of the hand, not another word
+    if near:
+        return f"did you mean {near[0]!r}?"
+    listed = sorted(known)
+    return f"expected some of {', '.join(listed[:MANY])}{', ...' * (len(listed) > MANY)}" if listed else "expected less"
 
 
 def require_among(fields: tuple[str, ...] | None, known: set[str], place: str) -> None:
     """Refuse fields of a view that it does not have."""
     for name in fields or ():
         if name not in known:
-            near = get_close_matches(name, known, n=1, cutoff=0.75)  # a slip of the hand, not another word
-            right = f"did you mean {near[0]!r}?" if near else f"expected some of {', '.join(sorted(known))}"
-            raise wrong(f"{name!r}; {right}", place, "fields")
+            raise wrong(f"{name!r}; {_meant(name, known)}", place, "fields")
 
 
 @declared(kw_only=True)
@@ -351,6 +387,45 @@ class BridgeSettings:
 
     def require(self, robots: int) -> None:
         """Refuse settings that do not fit so many robots, with a `DeclarationError`."""
+
+    def reporting(self) -> Iterator[tuple[Place, Source]]:
+        """Yield the places of messages that report, in the file, and what they report."""
+        yield from ()
+
+    def named(self) -> Iterator[tuple[Place, str]]:
+        """Yield the places where a person is named, and the person."""
+        for place, source in self.reporting():
+            person = getattr(source, "person", "{person}")
+            if FIELD.search(person) is None:
+                yield (*place, "person"), person
+
+    def require_possible(self, actions: Collection[Words]) -> None:
+        """Refuse actions, and names of values, that no task has.
+
+        Parameters
+        ----------
+        actions : collection of tuple of str
+            The actions of all tasks, in lower case: their names and arguments.
+
+        Raises
+        ------
+        DeclarationError
+            An action can never be taken.
+        """
+        for place, source in self.reporting():
+            if (why := source.impossible(actions)) is not None:
+                raise wrong(why, *place, "action")
+        known = {word for action in actions for word in action}
+        for name, value in self.names.items():
+            if strange := [word for word in words_of(value) if word not in known]:
+                raise wrong(f"{strange[0]!r} is in no action of the tasks; {_meant(strange[0], known)}", "names", name)
+
+    def strangers(self, people: Collection[str]) -> list[str]:
+        """Return a remark for each place that names somebody who is not among these people."""
+        return [
+            f"{spelt(place)}: {person!r} is not in the team yet; {_meant(person, people)}"
+            for place, person in self.named() if person not in people
+        ]  # fmt: skip
 
     @classmethod
     def read(cls, file: str | Path, robots: int = 1) -> Self:

@@ -14,7 +14,7 @@ import json
 import logging
 import re
 import socket
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
 from contextlib import asynccontextmanager, suppress
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ from ...declare.refusals import Refusal
 from .messages import LONGEST_ID, fields_of, unusable
 from .mqtt_settings import ADVICE, ROBOT, MqttSettings
 from .ordering import Acknowledgements
-from .transport import Answer, Faulty, Located, Message, Output, Reported, Resumed, Transport
+from .transport import Answer, Faulty, Kept, Located, Message, Output, Reported, Resumed, Transport
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -90,7 +90,7 @@ class Mqtt(Transport):
         self._count = robots
         self.robots = 0 if settings.robot is None else robots
         self._context = settings.context()
-        self._resumed, self._asked = list[Resumed](), False
+        self._begun, self._asked = list[Message](), False
 
     def address(self) -> str:
         """Return the broker's host and port."""
@@ -104,8 +104,8 @@ class Mqtt(Transport):
             self._broker, self._open = broker, Acknowledgements(broker._client.ack)
             for topic in self._topics():
                 await broker.subscribe(topic, qos=1)
-            if not self._asked:  # later the bridge itself knows how far numbers are
-                self._resumed, self._asked = await self._last_answers(), True
+            if not self._asked:  # later the bridge itself knows how far numbers are, and what it has published
+                self._begun, self._asked = await self._retained(), True
             if settings.status is not None:
                 await broker.publish(settings.status.topic.text, ONLINE, qos=1, retain=True)
             try:
@@ -133,22 +133,23 @@ class Mqtt(Transport):
         )  # fmt: skip
         return client
 
-    async def _last_answers(self) -> list[Resumed]:
-        """Return where each person's numbers go on, after the last answers in this session, which the broker keeps.
+    async def _retained(self) -> list[Message]:
+        """Return what the broker keeps: where numbers go on, after the last answers in this session, and old advice.
 
         Some brokers send what they keep to new subscribers only, so that a client of its own asks for it.
         """
-        answers, found = self.settings.answers, list[Resumed]()
-        if answers is None or all(source.number is None for source in self.settings.sources):
+        outputs = (self.settings.answers, self.settings.advice)
+        topics, found = [one.topic for one in outputs if one is not None], list[Message]()
+        if not topics:
             return found
         try:
             async with self._named(f"{self.settings.broker.client}-answers", clean_session=True, timeout=3.0) as reader:
-                await reader.subscribe(answers.topic.filter, qos=1)
+                for topic in topics:
+                    await reader.subscribe(topic.filter, qos=1)
                 with suppress(TimeoutError):
                     while True:
                         message = await asyncio.wait_for(anext(reader.messages), QUIET)
-                        resumed = self._after(str(message.topic), message.payload)
-                        found += [] if resumed is None else [resumed]
+                        found += self._before(str(message.topic), message.payload)
         except self.lost as error:
             LOG.warning("MQTT: the last answers cannot be read, so that numbers begin at 1 again: %s", error)
         return found
@@ -160,8 +161,8 @@ class Mqtt(Transport):
 
     async def messages(self) -> AsyncIterator[Message]:
         """Yield what the broker delivers."""
-        while self._resumed:
-            yield self._resumed.pop()
+        while self._begun:
+            yield self._begun.pop()
         async for message in self._broker.messages:
             done = self._open.expect(message.mid, message.qos)
             yield self.message(str(message.topic), message.payload, done)
@@ -189,15 +190,18 @@ class Mqtt(Transport):
         except Refusal as error:
             return Faulty(str(error), fields.get("person"), fields.get("id"), done=done)
 
-    def _after(self, topic: str, payload: bytes) -> Resumed | None:
-        """Return where reports go on after an answer that the broker has kept, if it was given in this session."""
-        answers = self.settings.answers
-        own = None if answers is None else answers.topic.fields(topic)
-        with suppress(ValueError):
-            fields = fields_of(payload)
-            if own is not None and fields.get("session") == self.session and "next" in fields:
-                return Resumed(own["person"], int(fields["next"]))
-        return None
+    def _before(self, topic: str, payload: bytes) -> Iterator[Message]:
+        """Yield what follows from a message that the broker has kept; the one last answer may be of this session."""
+        answers, advice = self.settings.answers, self.settings.advice
+        if answers is not None and (own := answers.topic.fields(topic)) is not None:
+            with suppress(ValueError):
+                fields = fields_of(payload)
+                if fields.get("session") == self.session and "next" in fields:
+                    yield Resumed(own["person"], int(fields["next"]))
+                    return
+            yield Kept(own["person"])
+        if advice is not None and (own := advice.topic.fields(topic)) is not None:
+            yield Kept(own["person"])
 
     def _located(self, robot: str, payload: bytes, done: Any) -> Message:
         try:
@@ -238,4 +242,4 @@ class Mqtt(Transport):
 
 
 def _json(view: Mapping[str, Any], fields: Iterable[str]) -> bytes:
-    return json.dumps({name: view[name] for name in fields}).encode()
+    return json.dumps({name: view.get(name) for name in fields}).encode()

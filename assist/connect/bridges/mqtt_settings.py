@@ -4,22 +4,34 @@ from __future__ import annotations
 
 import os
 import ssl
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from ...declare.declared import Expected, Number, Text, Texts, Truth, Whole, declared
-from .messages import BridgeSettings, EventKind, Fields, Source, Template, Topic, fields_of, require_among, wrong
+from ...declare.declared import Expected, Number, Place, Text, Texts, Truth, Whole, declared
+from ...web.schemas import Person, Robot
+from .messages import (
+    BridgeSettings,
+    EventKind,
+    Fields,
+    Source,
+    Template,
+    Topic,
+    fields_of,
+    numbered,
+    require_among,
+    wrong,
+)
 
 ENVIRONMENT = "KITASSIST_MQTT_"
 """Prefix of the environment variables PASSWORD, CA, CERTIFICATE and KEY."""
 
 ADVICE = "person", "suggestion", "finished", "seq"
-VIEW = {*ADVICE, "task", "present", "paused", "applicable", "reason", "cost_to_go", "steps", "explained"}
+VIEW = {*Person.model_fields}
 ROBOT = "person", "suggestion", "arrived", "seq"
-ERRAND = {*ROBOT, "reason", "location"}
+ERRAND = {*Robot.model_fields}
 
 Port = Annotated[Whole, Field(ge=1, le=65535), Expected("a port, 1 to 65535")]
 Seconds = Annotated[Number, Field(gt=0, le=3600), Expected("seconds above 0, at most 3600")]
@@ -113,6 +125,10 @@ class MqttSettings(BridgeSettings):
     def sources(self) -> tuple[Observed, ...]:
         """The messages that report events."""
         return self.observe if isinstance(self.observe, tuple) else (self.observe,)
+
+    def reporting(self) -> Iterator[tuple[Place, Source]]:
+        """Yield the tables `observe`."""
+        yield from numbered("observe", self.observe)
 
     @property
     def port(self) -> int:

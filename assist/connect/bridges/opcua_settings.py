@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from ...declare.declared import Expected, Text, declared
-from .messages import ActionTemplate, BridgeSettings, EventKind, Source, Template
+from ...declare.declared import Expected, Place, Text, declared
+from .messages import ActionTemplate, BridgeSettings, EventKind, Source, Template, numbered
 
 PASSWORD = "KITASSIST_OPCUA_PASSWORD"
 
@@ -84,6 +85,16 @@ class OpcUaSettings(BridgeSettings):
     ]
     advice: Annotated[tuple[Advice, ...], Field(description="Where suggestions are written.")] = ()
 
+    def reporting(self) -> Iterator[tuple[Place, Source]]:
+        """Yield the tables `observe`."""
+        yield from numbered("observe", self.observe)
+
+    def named(self) -> Iterator[tuple[Place, str]]:
+        """Yield also the people whose suggestions are written."""
+        yield from super().named()
+        for number, advice in enumerate(self.advice):
+            yield ("advice", number, "person"), advice.person
+
 
 @declared(kw_only=True)
 class OwnServer(Source):
@@ -103,3 +114,7 @@ class OwnServerSettings(BridgeSettings):
     """Settings of an OPC UA server of the assistant's own."""
 
     own_server: Annotated[OwnServer, Field(description="The server of the assistant.")]
+
+    def reporting(self) -> Iterator[tuple[Place, Source]]:
+        """Yield the table `own_server`."""
+        yield ("own_server",), self.own_server

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from ...declare.declared import AnyTable, Expected, Text, Texts, declared
+from ...declare.declared import AnyTable, Expected, Place, Text, Texts, declared
 from ...declare.refusals import Refusal
 from .messages import (
     FIELD,
@@ -19,6 +19,7 @@ from .messages import (
     Source,
     Template,
     fields_of,
+    numbered,
     require_among,
     texts_of,
     unusable,
@@ -31,7 +32,7 @@ NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 TYPE = re.compile(r"[a-z]\w*/((msg|action)/)?[A-Z]\w*", re.ASCII)
 
 ANSWER = "person", "id", "status", "detail", "seq"
-NULLABLE = {"reason", "cost_to_go"}  # which messages of ROS cannot contain
+NULLABLE = {"reason", "cost_to_go", "state_probability", "question", "answered"}  # which messages of ROS cannot have
 
 
 def _name(name: str) -> str:
@@ -183,3 +184,13 @@ class Ros2Settings(BridgeSettings):
     def sources(self) -> tuple[Observed, ...]:
         """The topics with reports."""
         return self.observe if isinstance(self.observe, tuple) else (self.observe,)
+
+    def reporting(self) -> Iterator[tuple[Place, Source]]:
+        """Yield the tables `observe`."""
+        yield from numbered("observe", self.observe)
+
+    def named(self) -> Iterator[tuple[Place, str]]:
+        """Yield also the people whose places are named."""
+        yield from super().named()
+        for person in {} if self.go_to is None else self.go_to.places:
+            yield ("go_to", "places", person), person

@@ -144,6 +144,18 @@ class Resumed(Message):
 
 
 @dataclass(frozen=True)
+class Kept(Message):
+    """The other side keeps advice to a person, perhaps of an earlier session; it is removed if they are not present.
+
+    Attributes
+    ----------
+    person : str
+    """
+
+    person: str
+
+
+@dataclass(frozen=True)
 class Drove(Message):
     """A robot has ended a drive that `Transport.drive` began, with success or not.
 

@@ -334,6 +334,8 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
         Session({"other": fixed}, file, setting=SETTING, population=EASY)
     with pytest.raises(InputFileError, match=r"has setting c_suggest 0\.02, not 1\.0"):
         opened(setting=Setting())
+    with pytest.raises(InputFileError, match=r"not 1\.0; setting c_move .*; setting trust paper, not constant; exp"):
+        opened(setting=Setting())
     with closing(sqlite3.connect(file)) as db, db:
         db.execute("""UPDATE header SET document = json_set(document, '$.tasks.tiny', 'another')""")
     with pytest.raises(InputFileError, match=r"the task tiny is another than when the session began; expected the"):

@@ -29,7 +29,7 @@ from starlette.testclient import TestClient
 from test_docs import BLOCK
 
 from assist.cli import main
-from assist.cli.options.live import bridge_of
+from assist.cli.options.bridges import bridge_of
 from assist.connect.bridges.kernel import Bridge
 from assist.connect.bridges.messages import Report, Topic, fields_of, filled
 from assist.connect.bridges.mqtt import Mqtt
@@ -305,6 +305,59 @@ def test_each_action_happens_once_although_messages_and_the_broker_are_lost(brok
     for one in (here, there):
         assert done_of(one.session.history.log(), walks) == walks
     assert here.session.history.beliefs() == there.session.history.beliefs()
+
+
+def test_advice_of_an_earlier_session_is_removed_and_that_of_this_one_is_kept(
+    broker: Broker, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", logger="assist.connect")
+    here = Here(tmp_path / "session", ["ann"])
+
+    async def work() -> None:
+        async with broker.client() as client:
+            await client.subscribe("line/#", qos=1)
+            found = dict[str, bytes]()
+            while found.get("line/eve/advice") != b"" or found.get("line/eve/answers") != b"":
+                message = await anext(client.messages)
+                found[str(message.topic)] = message.payload
+                assert (str(message.topic), message.payload) != ("line/ann/advice", b"")
+            while json.loads(found["line/ann/advice"]).get("question", 0) is not None:
+                message = await anext(client.messages)
+                found[str(message.topic)] = message.payload
+
+    async def earlier() -> None:
+        async with broker.client() as client:
+            for topic in ("line/eve/advice", "line/eve/answers", "line/ann/advice"):
+                await client.publish(topic, b'{"session": "another", "next": 3}', qos=1, retain=True)
+
+    asyncio.run(earlier())
+    text = SETTINGS.replace('topic = "line/{person}/advice"', 'topic = "line/{person}/advice"\nfields = ["question"]')
+    here.run(settings_file(tmp_path, broker, text), work)
+    assert [one.message for one in caplog.records] == [f"MQTT: connected to 127.0.0.1:{broker.port}"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[[observe]]\ntopic = "a"\naction = "(fetsch {item})"', ":3: observe.1..action: .* did you mean 'fetch'"),
+        ('[observe]\ntopic = "a"\naction = "place({item}, slot-7)"', ":3: observe.action: .* no action of the tasks"),
+        ('[observe]\ntopic = "a"\n[names]\n4711 = "box-c"', ":4: names.4711: 'box-c' is in no action"),
+    ],
+)
+def test_settings_with_actions_that_no_task_has_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    (file := tmp_path / "bridge.toml").write_text(text)
+    with pytest.raises(click.UsageError, match=message):
+        bridge_of(file).require_possible([kit("tiny")])
+
+
+def test_who_is_named_in_settings_and_is_not_in_the_team_is_told(tmp_path: Path) -> None:
+    (file := tmp_path / "bridge.toml").write_text(
+        '[observe]\ntopic = "a"\nperson = "anne"\naction = "(place {item} slot-1)"\n[names]\n4711 = "box-b"'
+    )
+    made = bridge_of(file)
+    made.require_possible([kit("tiny")])
+    assert made.strangers(["anne"]) == []
+    assert made.strangers(["ann"]) == [f"{file}: observe.person: 'anne' is not in the team yet; did you mean 'ann'?"]
 
 
 @pytest.mark.slow
@@ -677,9 +730,17 @@ def test_fields_of_payloads() -> None:
     source = Observed(topic="line/{person}", number="{n}", seq="{seq}")
     report = source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"}, {})
     assert (report.number, report.values, report.fault) == (2, {"action": "(go)", "seq": "0"}, None)
-    for wrong in ({"n": "0"}, {"n": "x"}, {"id": ""}, {"id": "i" * 129}, {"seq": "-1"}):
+    right = {"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"}
+    for wrong in ({"id": ""}, {"id": "i" * 129}):
         with pytest.raises(Refusal, match="expected"):
-            source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0", **wrong}, {})
+            source.report({**right, **wrong}, {})
+    for name, value, number in (("n", "0", None), ("n", "x", None), ("seq", "-1", 2)):
+        report = source.report({**right, name: value}, {})
+        assert (report.id, report.number) == ("1", number)
+        with pytest.raises(Refusal, match="expected a whole number"):
+            report.event()
+    with pytest.raises(Refusal, match="there is no field 'n'"):  # which the answer to this id says
+        source.report({name: value for name, value in right.items() if name != "n"}, {}).event()
 
 
 @pytest.mark.parametrize(

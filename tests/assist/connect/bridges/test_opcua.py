@@ -25,7 +25,7 @@ from starlette.testclient import TestClient
 from test_mqtt import Here, done_of, free_port, plans
 
 from assist.cli import main
-from assist.cli.options.live import bridge_of
+from assist.cli.options.bridges import bridge_of
 from assist.live import Left
 from assist.person.settings import Setting
 

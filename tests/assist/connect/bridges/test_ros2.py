@@ -209,7 +209,10 @@ def test_advice_is_repeated_for_those_who_subscribe_late(tmp_path: Path) -> None
         (("ws://127.0.0.1:PORT", "http://here"), "expected ws://host:port"),
         (('"/line/action"', '"/line/person-1"'), "expected a name of ROS"),
         (('"line_msgs/action/GoTo"', '"GoTo"'), "expected a type of ROS"),
-        (('topic = "/line/advice"', 'topic = "/line/advice"\nfields = ["speed"]'), "expected some of applicable"),
+        (
+            ('topic = "/line/advice"', 'topic = "/line/advice"\nfields = ["speed"]'),
+            "expected some of answered, applicable",
+        ),
         (
             ('topic = "/line/advice"', 'topic = "/line/advice"\ntype = "a/msg/B"\nfields = ["reason"]'),
             "expected some of applicable",

@@ -14,7 +14,7 @@ import pytest
 from test_mqtt import Here
 
 import assist.connect
-from assist.cli.options.live import bridge_of
+from assist.cli.options.bridges import bridge_of
 from assist.connect.bridges import Bridge, Faulty, Located, Message, Report, Reported, Transport
 from assist.live import Acted, Left
 from assist.web.server import listen, run
