@@ -66,7 +66,7 @@ ROOMS = {
         reports record assistant store people_store header history team session simulated_person trace_reasons""",
     "assist.studies": "study plan_tables protocol tasks cells runner own_code",
     "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
-        participant_team roll teams events record cohort session tables export
+        participant_team roll teams events record cohort session csv_tables tables export
         forecast""",
     "assist.studies.reports": """watched_episode policy_comparison wording
         report_files study_summary study_claims study_figures study_report userstudy_summary

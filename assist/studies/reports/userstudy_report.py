@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from planner.system.errors import InputFileError
 
 from ...declare.catalogue import Catalogue, catalogue
 from ...declare.declared import NOTHING, is_declared, names_of, plain, shown
@@ -18,12 +15,12 @@ from ...drawing.plots import userstudy as draw
 from ...learning.statistics import FEW
 from ...live.store import stored
 from ...person.settings import Setting
-from ..userstudy.outcomes import COUNTED, Row
+from ..userstudy.csv_tables import rows
 from ..userstudy.plan import UserStudy, UserStudyPlan
 from ..userstudy.plan_file import read
 from ..userstudy.questionnaires import TLX, Item
 from ..userstudy.session import JOURNAL, PLAN
-from ..userstudy.tables import COLUMNS, Tables, tables, text_of
+from ..userstudy.tables import COLUMNS, Tables, tables
 from . import report_files
 from .preregistration import compared
 from .report_files import FIGURES, html_page, rendered, write_files
@@ -32,15 +29,6 @@ from .wording import interval, number, p_value, short, value
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-LATER = {"utc", "group", "excluded", "failed_checks", "option", "passed", *(one.name for one in COUNTED)}
-"""Columns that exports of earlier versions may lack, besides the position of an answer."""
-NUMBERS = {
-    "failed_checks", "period", "position", "optimal_cost", "step", "time", "cost_before", "cost_after", "score",
-    *(one.name for one in COUNTED),
-}  # fmt: skip
-TRUTHS = {"simulated", "finished", "followed", "passed"}
-
 
 require = partial(report_files.require, "jinja2", "markdown")
 
@@ -56,31 +44,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
     study = read(folder / PLAN, carried_out=True)
     if any((folder / name).exists() for name in (JOURNAL, Path(JOURNAL).with_suffix(".jsonl"))):
         return study, tables(study, folder / JOURNAL)
-    return study, Tables(**{name: list(_rows(folder / f"{name}.csv", columns)) for name, columns in COLUMNS.items()})
-
-
-def _rows(file: Path, columns: dict[str, str]) -> Iterator[Row]:
-    with file.open(newline="", encoding="utf-8") as stream:
-        reader = csv.DictReader(stream)
-        known = list(reader.fieldnames or ())
-        later = LATER | ({"position"} if "item" in columns else set())
-        if len(known) > len({*known}) or not {*columns} - later <= {*known} <= {*columns}:
-            raise InputFileError.of(file, 1, f"expected the columns {', '.join(columns)}")
-        for row in reader:
-            if None in row or None in row.values():
-                raise InputFileError.of(file, reader.line_num, f"expected {len(known)} columns, as in line 1")
-            try:
-                yield dict.fromkeys(columns) | {name: _cell(name, cell) for name, cell in row.items()}
-            except (TypeError, ValueError):
-                raise InputFileError.of(file, reader.line_num, "expected a number") from None
-
-
-def _cell(name: str, cell: str) -> Any:
-    if name in TRUTHS and cell in ("true", "false"):
-        return cell == "true"
-    if cell == "":
-        return None
-    return float(cell) if name in NUMBERS else text_of(cell)
+    return study, Tables(**{name: list(rows(folder / f"{name}.csv", columns)) for name, columns in COLUMNS.items()})
 
 
 def write_report(folder: Path, out: Path) -> dict[str, Any]:

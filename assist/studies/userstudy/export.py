@@ -10,9 +10,10 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
+from .csv_tables import written
 from .plan_file import read
 from .session import JOURNAL, PLAN
-from .tables import COLUMNS, tables, written
+from .tables import COLUMNS, tables
 
 REGISTERED = "preregistration.json"
 """The study's registration in its folder, if there is one."""
@@ -25,9 +26,9 @@ def files(folder: Path) -> Iterator[tuple[str, str]]:
     for name in COLUMNS:
         yield f"{name}.csv", found.csv(name)
     meanings = (
-        {"table": table, "column": column, "meaning": meaning}
+        {"table": table, "column": name, "meaning": column.about}
         for table, columns in COLUMNS.items()
-        for column, meaning in columns.items()
+        for name, column in columns.items()
     )
     yield "dictionary.csv", written(("table", "column", "meaning"), meanings)
     items = (

@@ -5,13 +5,9 @@ The tables are exported as CSV with a data dictionary. Reports read them too.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-import re
-import unicodedata
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +16,7 @@ from planner.system.errors import InputFileError
 
 from ...live.header import require_version
 from ...live.store import stored
+from .csv_tables import Column, written
 from .events import Onward
 from .outcomes import COUNTED, Row
 from .participant_team import own_action
@@ -28,72 +25,80 @@ from .questionnaires import CHOICES
 from .record import StudyRecord
 from .roll import WITHDREW, Participant, Roll
 
-COLUMNS: dict[str, dict[str, str]] = {
+COLUMNS: dict[str, dict[str, Column]] = {
     "participants": {
-        "participant": "code of a participant; a number if the records were erased",
-        "simulated": "whether the participant is simulated (in a rehearsal)",
-        "arrived": "time of arrival, UTC",
-        "consented": "time of consent, UTC; empty before",
-        "status": "done; here: taking part; gone: disconnected for too long; withdrew: no other table has their data; "
-        "declined: no consent; unmatched: no group was found in time; full: the study was full on return",
-        "stage": "the last stage that the participant reached",
-        "condition": "assigned when the first task begins, empty before; in a within-participants design, the order",
-        "completion_code": "code shown at the end",
-        "failed_checks": "attention checks that were answered wrongly",
-        "excluded": "why the participant is excluded from the report; empty otherwise",
-        "group": "the group that shared a robot; empty before it began, and in studies without groups",
+        "participant": Column("code of a participant; a number if the records were erased"),
+        "simulated": Column("whether the participant is simulated (in a rehearsal)", bool),
+        "arrived": Column("time of arrival, UTC"),
+        "consented": Column("time of consent, UTC; empty before"),
+        "status": Column(
+            "done; here: taking part; gone: disconnected for too long; withdrew: no other table has their data; "
+            "declined: no consent; unmatched: no group was found in time; full: the study was full on return"
+        ),
+        "stage": Column("the last stage that the participant reached"),
+        "condition": Column(
+            "assigned when the first task begins, empty before; in a within-participants design, the order"
+        ),
+        "completion_code": Column("code shown at the end"),
+        "failed_checks": Column("attention checks that were answered wrongly", float, later=True),
+        "excluded": Column("why the participant is excluded from the report; empty otherwise", later=True),
+        "group": Column(
+            "the group that shared a robot; empty before it began, and in studies without groups", later=True
+        ),
     },
     "tasks": {
-        "participant": "code of a participant",
-        "condition": "the condition",
-        "period": "1 for the participant's first condition",
-        "task": "the task's file name without its ending",
-        "position": "1 for the first task in this condition",
-        "finished": "whether the goal was reached",
-        "optimal_cost": "cost of an optimal plan from the initial state; its length if every action costs 1",
-        **{one.name: one.about for one in COUNTED},
+        "participant": Column("code of a participant"),
+        "condition": Column("the condition"),
+        "period": Column("1 for the participant's first condition", float),
+        "task": Column("the task's file name without its ending"),
+        "position": Column("1 for the first task in this condition", float),
+        "finished": Column("whether the goal was reached", bool),
+        "optimal_cost": Column(
+            "cost of an optimal plan from the initial state; its length if every action costs 1", float
+        ),
+        **{one.name: Column(one.about, float, later=True) for one in COUNTED},
     },
     "actions": {
-        "participant": "code of a participant",
-        "condition": "the condition; empty in practice",
-        "period": "1 for the participant's first condition; 0 in practice",
-        "task": "the task, or practice",
-        "step": "0 for the first action of the task",
-        "time": "seconds since the study began, without interruptions of the service",
-        "utc": "time of the action, UTC",
-        "action": "the action in PDDL",
-        "suggestion": "the suggestion shown at that moment, if any",
-        "followed": "whether the action is the suggestion; empty without a suggestion",
-        "cost_before": "cost-to-go before the action; empty in a dead end",
-        "cost_after": "cost-to-go after the action; empty in a dead end",
-        "optimal": "whether an optimal plan begins with the action",
+        "participant": Column("code of a participant"),
+        "condition": Column("the condition; empty in practice"),
+        "period": Column("1 for the participant's first condition; 0 in practice", float),
+        "task": Column("the task, or practice"),
+        "step": Column("0 for the first action of the task", float),
+        "time": Column("seconds since the study began, without interruptions of the service", float),
+        "utc": Column("time of the action, UTC", later=True),
+        "action": Column("the action in PDDL"),
+        "suggestion": Column("the suggestion shown at that moment, if any"),
+        "followed": Column("whether the action is the suggestion; empty without a suggestion", bool),
+        "cost_before": Column("cost-to-go before the action; empty in a dead end", float),
+        "cost_after": Column("cost-to-go after the action; empty in a dead end", float),
+        "optimal": Column("whether an optimal plan begins with the action", bool),
     },
     "answers": {
-        "participant": "code of a participant",
-        "condition": "the condition",
-        "period": "1 for the participant's first condition",
-        "questionnaire": "name of the questionnaire",
-        "item": "name of the question",
-        "option": "for questions with several choices, the option; empty otherwise",
-        "position": "1 for the first question on the page",
-        "answer": "the answer as given; for an option, whether it was chosen; empty without an answer",
-        "score": "the score, with reversed items recoded; empty if the answer is not a number",
-        "passed": "whether an attention check was answered correctly; empty for other questions",
+        "participant": Column("code of a participant"),
+        "condition": Column("the condition"),
+        "period": Column("1 for the participant's first condition", float),
+        "questionnaire": Column("name of the questionnaire"),
+        "item": Column("name of the question"),
+        "option": Column("for questions with several choices, the option; empty otherwise", later=True),
+        "position": Column("1 for the first question on the page", float, later=True),
+        "answer": Column("the answer as given; for an option, whether it was chosen; empty without an answer"),
+        "score": Column("the score, with reversed items recoded; empty if the answer is not a number", float),
+        "passed": Column(
+            "whether an attention check was answered correctly; empty for other questions", bool, later=True
+        ),
     },
     "events": {
-        "participant": "code of a participant",
-        "time": "seconds since the study began, without interruptions of the service",
-        "utc": "time of the event, UTC",
-        "event": "visited; onward: proceeded to the next stage; withdrew; left: disconnected; returned; expired: the "
-        "time limit of the task or of waiting was reached",
-        "stage": "the stage at the event",
+        "participant": Column("code of a participant"),
+        "time": Column("seconds since the study began, without interruptions of the service", float),
+        "utc": Column("time of the event, UTC", later=True),
+        "event": Column(
+            "visited; onward: proceeded to the next stage; withdrew; left: disconnected; returned; expired: the "
+            "time limit of the task or of waiting was reached"
+        ),
+        "stage": Column("the stage at the event"),
     },
 }
-"""Columns of each table, with their meanings."""
-
-
-CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
-"""Signs that are no text; some readers end a file at them. U+FFFD stands for them in CSV."""
+"""Columns of each table."""
 
 
 @dataclass
@@ -140,45 +145,6 @@ class Tables:
                 for row in self.actions if row["task"] == task and row["condition"] is not None
             )  # fmt: skip
             yield task, "".join(json.dumps(row) + "\n" for row in rows)
-
-
-def written(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> str:
-    """Return rows as CSV with the given columns. None is an empty cell; truth values are `true` and `false`."""
-    content = io.StringIO()
-    writer = csv.writer(content, lineterminator="\n")
-    columns = list(columns)
-    writer.writerow(columns)
-    for row in rows:
-        writer.writerow([_plain(row[name]) for name in columns])
-    return content.getvalue()
-
-
-def _plain(cell: Any) -> Any:
-    if isinstance(cell, bool):
-        return str(cell).lower()
-    if isinstance(cell, str):
-        # Some readers take a carriage return for the end of a row.
-        text = CONTROL.sub("\ufffd", cell.replace("\r\n", "\n").replace("\r", "\n"))
-        return f"'{text}" if is_formula(text) else text
-    return cell
-
-
-def is_formula(text: str) -> bool:
-    """Whether a spreadsheet may evaluate a text, unless an apostrophe precedes it; or the same behind apostrophes.
-
-    Spreadsheets skip blanks and invisible signs, and take full-width signs for the usual ones.
-    """
-    for place, sign in enumerate(text):
-        if sign in "\t\n" and not text[:place].strip("'"):
-            return True
-        if sign != "'" and not sign.isspace() and unicodedata.category(sign) != "Cf":
-            return unicodedata.normalize("NFKC", sign) in ("=", "+", "-", "@", "\u2212")
-    return False
-
-
-def text_of(cell: str) -> str:
-    """Return the text of a cell that `written` wrote: without the apostrophe before what looks like a formula."""
-    return cell[1:] if cell.startswith("'") and is_formula(cell) else cell
 
 
 def tables(study: UserStudy, journal: Path) -> Tables:

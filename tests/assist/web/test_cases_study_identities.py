@@ -21,7 +21,7 @@ from userstudies import PLAN
 
 from assist.declare import catalogue
 from assist.studies.userstudy.codes import identifier
-from assist.studies.userstudy.tables import is_formula, text_of, written
+from assist.studies.userstudy.csv_tables import is_formula, text_of, written
 from assist.web import request_limits
 from assist.web.request_limits import Allowance
 from assist.web.tokens import VISITOR, AccessTokens

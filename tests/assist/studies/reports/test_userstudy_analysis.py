@@ -36,10 +36,10 @@ from assist.learning.statistics import (
 from assist.studies.reports.preregistration import REGISTERED
 from assist.studies.reports.userstudy_report import of_folder, write_report
 from assist.studies.reports.userstudy_summary import _adjusted, _measure, measures, summarise
+from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.outcomes import OUTCOMES
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.tables import COLUMNS, Tables
-from assist.studies.userstudy.tables import written as written_rows
 from planner.system.errors import InputFileError
 
 CONFIRMED = PLAN.replace("seed = 3", 'seed = 3\nconfirmatory = ["actions", "trust"]')

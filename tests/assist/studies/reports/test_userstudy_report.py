@@ -31,8 +31,9 @@ from assist.declare import catalogue
 from assist.learning.repeated_measures import detectable_within, within_participants
 from assist.learning.statistics import between_groups, cronbach_alpha, detectable
 from assist.studies.reports import study_report, userstudy_report
+from assist.studies.userstudy.csv_tables import rows
+from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.tables import COLUMNS
-from assist.studies.userstudy.tables import written as written_rows
 from assist.web.user_study import rehearsal, server
 from planner.system.errors import InputFileError, MissingExtraError
 
@@ -276,7 +277,7 @@ def test_a_text_is_read_back_as_it_was(text: str) -> None:
         file.write_text(written_rows(COLUMNS["answers"], [dict.fromkeys(COLUMNS["answers"]) | {"answer": text}]))
         (row,) = csv.reader(file.read_text().splitlines(keepends=True)[1:])
         assert not row[list(COLUMNS["answers"]).index("answer")].startswith(("=", "+", "-", "@", "\t"))
-        (found,) = userstudy_report._rows(file, COLUMNS["answers"])
+        (found,) = rows(file, COLUMNS["answers"])
     assert found["answer"] == text.replace("\r\n", "\n").replace("\r", "\n")
 
 
