@@ -23,7 +23,7 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     """
     from planner.system.errors import InputFileError
 
-    from ..studies.reports.userstudy_report import headline, notes, require, write_report
+    from ..studies.reports.userstudy_report import ReportWording, require, write_report
     from ..studies.userstudy.session import REPORT
 
     require()
@@ -35,11 +35,12 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     if as_json:
         print_json(summary)
         return
-    head, rows = headline(summary)
+    words = ReportWording()
+    head, rows = words.headline(summary)
     table = Table(*head, box=None, pad_edge=False)
     for row in rows:
         table.add_row(*row)
     print_table(table)
-    for text in notes(summary):
+    for text in words.notes(summary):
         click.echo(text.replace("**", ""))
     click.echo(f"the report is {out / 'report.md'}")

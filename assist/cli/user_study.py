@@ -179,12 +179,12 @@ def _report(folder: Path) -> None:
     """Write the export and the report of a rehearsal."""
     from planner.system.files import atomic
 
-    from ..studies.reports.userstudy_report import notes, write_report
+    from ..studies.reports.userstudy_report import ReportWording, write_report
     from ..studies.userstudy.export import archive
     from ..studies.userstudy.session import EXPORT, REPORT
 
     with atomic(folder / EXPORT) as path:
         path.write_bytes(archive(folder))
-    for text in notes(write_report(folder, folder / REPORT)):
+    for text in ReportWording().notes(write_report(folder, folder / REPORT)):
         note(text.replace("**", ""))
     click.echo(f"export: {folder / EXPORT}; report: {folder / REPORT / 'report.md'}", err=True)

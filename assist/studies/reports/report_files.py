@@ -56,9 +56,12 @@ def rendered(template: str, **content: Any) -> str:
         autoescape=jinja2.select_autoescape(["html.jinja"], default=False), undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    words = (wording.number, wording.prior, wording.short, wording.value)
-    environment.filters |= {word.__name__: word for word in words}
-    environment.filters |= {"table": markdown_table, "cell": markdown_cell}
+    environment.filters |= {
+        "prior": wording.prior,
+        "short": wording.short,
+        "table": markdown_table,
+        "cell": markdown_cell,
+    }
     return environment.get_template(template).render(content).rstrip() + "\n"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from ...declare.catalogue import Catalogue, catalogue
@@ -10,7 +11,7 @@ from ..study import OWN
 
 Record = dict[str, Any]
 
-ENDS = ("low", "high")
+ENDS = ("mean", "low", "high")
 
 
 def short(text: str, most: int = 48) -> str:
@@ -18,34 +19,48 @@ def short(text: str, most: int = 48) -> str:
     return text if len(text) <= most else f"{text[: most - 1].rstrip()}…"
 
 
-def number(estimate: float | None, missing: str | None = None, texts: Catalogue | None = None) -> str:
-    """Return a number with two decimals, or what stands for a missing one."""
-    texts = texts or catalogue()
-    if estimate is None:
-        return texts.phrase("report.undefined") if missing is None else missing
-    return texts.decimal(estimate, 2)
+@dataclass(frozen=True)
+class Wording:
+    """Numbers, intervals and p-values in a language.
+
+    Attributes
+    ----------
+    texts : Catalogue
+    """
+
+    texts: Catalogue = field(default_factory=catalogue)
+
+    def number(self, estimate: float | None, missing: str | None = None) -> str:
+        """Return a number with two decimals, or what stands for a missing one."""
+        if estimate is None:
+            return self.texts.phrase("report.undefined") if missing is None else missing
+        return self.texts.decimal(estimate, 2)
+
+    def plain(self, given: float) -> str:
+        """Return a number with the digits that it has."""
+        return f"{given:g}".replace(".", self.texts.texts["decimal"])
+
+    def p_value(self, p: float | None) -> str:
+        """Return a p-value as journals print it."""
+        if p is None:
+            return self.texts.phrase("report.undefined")
+        return f"< {self.texts.decimal(0.001, 3).removeprefix('0')}" if p < 0.001 else self.texts.decimal(p, 3)
+
+    def interval(self, estimate: Record, digits: int = 1) -> str:
+        """Return a number with its interval, if it has one."""
+        if estimate["mean"] is None:
+            return self.texts.phrase("report.no_others")
+        ends = (None if estimate[key] is None else self.texts.decimal(estimate[key], digits) for key in ENDS)
+        mean, low, high = ends
+        return str(mean) if low is None else self.texts.phrase("report.between", mean=mean, low=low, high=high)
+
+    def value(self, cell: Record) -> str:
+        """Return the mean of a cell with its interval, or a dash for a cell without values."""
+        return self.interval(cell) if cell["n"] else "-"
 
 
-def p_value(p: float | None, texts: Catalogue | None = None) -> str:
-    """Return a p-value as journals print it."""
-    texts = texts or catalogue()
-    if p is None:
-        return texts.phrase("report.undefined")
-    return f"< {texts.decimal(0.001, 3).removeprefix('0')}" if p < 0.001 else texts.decimal(p, 3)
-
-
-def interval(estimate: Record, digits: int = 1, texts: Catalogue | None = None) -> str:
-    """Return a number with its interval, if it has one."""
-    texts = texts or catalogue()
-    if estimate["mean"] is None:
-        return texts.phrase("report.no_others")
-    mean, *ends = (None if estimate[key] is None else texts.decimal(estimate[key], digits) for key in ("mean", *ENDS))
-    return str(mean) if ends[0] is None else texts.phrase("report.between", mean=mean, low=ends[0], high=ends[1])
-
-
-def value(cell: Record, texts: Catalogue | None = None) -> str:
-    """Return the mean of a cell with its interval, or a dash for a cell without values."""
-    return interval(cell, texts=texts) if cell["n"] else "-"
+ENGLISH = Wording()
+interval, number = ENGLISH.interval, ENGLISH.number
 
 
 def with_deviation(cell: Record) -> str:
