@@ -69,8 +69,8 @@ ROOMS = {
         participant_team roll teams events record cohort session csv_tables tables export
         forecast""",
     "assist.studies.reports": """watched_episode policy_comparison wording
-        report_files study_summary study_claims study_figures study_report userstudy_summary
-        preregistration userstudy_report""",
+        report_files study_summary study_claims study_figures study_report userstudy_data
+        userstudy_comparisons userstudy_summary preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures schemas watchers service authorization request_limits
         task_drawings event_routes routes metrics streams page_routes app connections server client""",
     "assist.web.user_study": "schemas service routes rehearsal server",

@@ -24,7 +24,8 @@ from ..userstudy.tables import COLUMNS, Tables, tables
 from . import report_files
 from .preregistration import compared
 from .report_files import FIGURES, html_page, rendered, write_files
-from .userstudy_summary import ALL, measures, summarise
+from .userstudy_data import ALL, StudyData
+from .userstudy_summary import summarise
 from .wording import Wording, short
 
 if TYPE_CHECKING:
@@ -96,7 +97,8 @@ def _pictures(
     shown = [one for one in summary["measures"] if any(cell["n"] for cell in one["cells"])]
     if shown:
         points = {
-            one.name: {name: list(own.values()) for name, own in one.values.items()} for one in measures(study, found)
+            one.name: {name: list(own.values()) for name, own in one.values.items()}
+            for one in StudyData(study, found).measures
         }
         yield "outcomes", (phrase("report.figures.outcomes"), partial(draw.outcomes_figure, shown, points, texts))
     differing = [one for one in shown if one["differences"]]

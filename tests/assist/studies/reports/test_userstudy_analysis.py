@@ -34,8 +34,10 @@ from assist.learning.statistics import (
     signed_rank,
 )
 from assist.studies.reports.preregistration import REGISTERED
+from assist.studies.reports.userstudy_comparisons import compared as in_all_conditions
+from assist.studies.reports.userstudy_data import StudyData
 from assist.studies.reports.userstudy_report import of_folder, write_report
-from assist.studies.reports.userstudy_summary import _adjusted, _measure, measures, summarise
+from assist.studies.reports.userstudy_summary import summarise
 from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.outcomes import OUTCOMES
 from assist.studies.userstudy.plan_file import read
@@ -665,8 +667,9 @@ def test_intervals_cover_the_truth_and_the_family_errs_rarely(tmp_path: Path, de
             for answer in [float(np.clip(rng.normal(4 + own / 4, 1.5), 1, 7))]
         ]  # fmt: skip
         tables = rows_of(rows, **who)
-        confirmed = [one for one in measures(study, tables) if one.name in study.confirmatory]
-        compared_all = _adjusted(study, [_measure(study, one, tables) for one in confirmed])  # of the summary
+        data = StudyData(study, tables)
+        confirmed = [one for one in data.measures if one.name in study.confirmatory]
+        compared_all = in_all_conditions(data, confirmed)  # of the summary
         family = [one for measure in compared_all for one in measure["differences"]]
         assert len(family) == 6
         covered += sum(one["low"] <= 0 <= one["high"] for one in family)

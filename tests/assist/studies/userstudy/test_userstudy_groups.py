@@ -13,8 +13,9 @@ from test_live_pages import CHROMIUM, chromium, violations
 from userstudies import PLAN, Open, Part, opened, written
 
 from assist.declare import Catalogue, InapplicableError, catalogue, languages
+from assist.studies.reports.userstudy_data import StudyData
 from assist.studies.reports.userstudy_report import report_text
-from assist.studies.reports.userstudy_summary import measures, summarise
+from assist.studies.reports.userstudy_summary import summarise
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import JOURNAL, StudySession
 from assist.studies.userstudy.tables import tables
@@ -192,7 +193,7 @@ def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
             part.to("thanks")
     study, found = session.study, tables(session.study, session.folder / JOURNAL)
     actions = {row["participant"]: row["actions"] for row in found.tasks}
-    (measure,) = (one for one in measures(study, found) if one.name == "actions")
+    (measure,) = (one for one in StudyData(study, found).measures if one.name == "actions")
     who = session.cohort.participants
     for number in range(6):
         own = measure.values[who[f"a{number}"].condition or ""]
