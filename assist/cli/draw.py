@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -15,7 +15,16 @@ from planner.system.errors import InputFileError
 from planner.system.files import each_record
 
 from ..declare.options import Given, setting_options
-from .options.common import INPUT_FILE, apart, domain_option, instance_argument, json_option, out_option, separate_files
+from .options.common import (
+    INPUT_FILE,
+    apart,
+    domain_option,
+    instance_argument,
+    json_option,
+    out_option,
+    separate_files,
+    together,
+)
 from .options.goals import goals_option, several_goals
 from .options.help import command
 from .options.settings import DrawSetting
@@ -26,20 +35,39 @@ if TYPE_CHECKING:
     from ..people.goals import Goals
 
 
+class Shown(NamedTuple):
+    """What is drawn: a state, a plan, or an episode of a log; without these, where the task begins."""
+
+    state: Path | None
+    plan: Path | None
+    log: Path | None
+    episode: str | None
+
+
+shown_options = together(
+    "shown", Shown,
+    (
+        click.option("--state", type=INPUT_FILE, help="State to draw: the facts that hold, as PDDL or a JSON list."),
+        click.option("--plan", type=INPUT_FILE, help="Plan to draw: one action per line, as written by `solve --out`."),
+        click.option(
+            "--log", type=INPUT_FILE, help="Log of actions to draw (JSON Lines), as written by `simulate --trace`."
+        ),
+        click.option("--episode", metavar="E", help="Episode of the log. The first unless given."),
+    ),
+)  # fmt: skip
+
+
 @command("draw kitting/tiny --out tiny.svg")
 @instance_argument
 @domain_option
-@click.option("--state", type=INPUT_FILE, help="State to draw: the facts that hold, as PDDL or a JSON list.")
-@click.option("--plan", type=INPUT_FILE, help="Plan to draw: one action per line, as written by `solve --out`.")
-@click.option("--log", type=INPUT_FILE, help="Log of actions to draw (JSON Lines), as written by `simulate --trace`.")
-@click.option("--episode", metavar="E", help="Episode of the log. The first unless given.")
+@shown_options
 @goals_option
 @setting_options(DrawSetting)
 @out_option("a file .svg, .png, .gif or .html", required=True)
 @json_option
 def draw(
-    instance: str, domain: str | None, state: Path | None, plan: Path | None, log: Path | None, episode: str | None,
-    problems: tuple[str, ...], out: Path, as_json: bool, setting: DrawSetting, given: Given[DrawSetting],
+    instance: str, domain: str | None, shown: Shown, problems: tuple[str, ...], out: Path, as_json: bool,
+    setting: DrawSetting, given: Given[DrawSetting],
 ) -> None:  # fmt: skip
     """Draw a state, a plan or an episode as a picture (.svg, .png) or an animation (.gif, .html).
 
@@ -51,6 +79,7 @@ def draw(
     from ..drawing.raster import require
     from ..drawing.states import read_state
 
+    state, plan, log, episode = shown
     if out.suffix not in FORMATS:
         raise click.UsageError(f"--out {out}: expected a name that ends in {', '.join(FORMATS)}")
     apart({"--state": state, "--plan": plan, "--log": log})

@@ -14,9 +14,9 @@ from planner.batch.results_folder import SolveOptions
 
 from .options.common import INPUT_FILE, data_option
 from .options.help import command
+from .options.listening import public_url_option
 from .options.task import costs_of
 from .terminal.console import ExitCode, fail, note, print_json
-from .user_study import public_url_option
 
 if TYPE_CHECKING:
     from ..studies.userstudy.plan import UserStudy

@@ -1,11 +1,10 @@
-"""The server socket of `serve`, and user studies that `serve` conducts or rehearses."""
+"""User studies that `serve` conducts or rehearses."""
 
 from __future__ import annotations
 
 import json
 import tempfile
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,19 +14,16 @@ from planner.system.errors import MissingExtraError
 
 from ..declare.options import Given
 from .options.common import is_given
+from .options.listening import Listening
 from .options.task import costs_of
 from .terminal.console import ExitCode, fail, note
 
 if TYPE_CHECKING:
-    import socket
-
     from planner import CostToGo
 
     from ..studies.userstudy.plan import UserStudy
-    from ..web.request_limits import Networks
     from ..web.user_study.service import StudyService
 
-PORT = 8000  # usual port of local web servers that need no privileges
 OF_STUDIES = {
     "study",
     "rehearse",
@@ -44,70 +40,13 @@ OF_STUDIES = {
 """Options that can be combined with `--study`. The study's file settles everything else."""
 
 
-def live_server() -> ModuleType:
-    """Return the module of the live assistant's server.
-
-    Raises
-    ------
-    MissingExtraError
-        The packages of the extra `web` are not installed.
-    """
-    try:
-        from ..web import server
-    except ImportError as error:
-        raise MissingExtraError("the live assistant needs", str(error.name), "web") from None
-    return server
-
-
-def _public_address(_context: click.Context, _option: click.Parameter, given: str | None) -> str | None:
-    from ..web.tokens import public_address
-
-    try:
-        return None if given is None else public_address(given)
-    except ValueError as error:
-        raise click.UsageError(f"--public-url {error}") from None
-
-
-public_url_option = click.option(
-    "--public-url", callback=_public_address, metavar="URL",
-    help="Address of the service behind a proxy, such as https://host.example/kits.",
-)  # fmt: skip
-
-
-def _networks(_context: click.Context, _option: click.Parameter, given: tuple[str, ...]) -> Networks:
-    if not given:
-        return ()
-    from ..web.request_limits import networks
-
-    try:
-        return networks(given)
-    except ValueError as error:
-        raise click.UsageError(f"--trusted-proxy {error}") from None
-
-
-trusted_proxy_option = click.option(
-    "--trusted-proxy", callback=_networks, multiple=True, metavar="ADDRESS",
-    help="Address or network of a proxy whose X-Forwarded-For names the client. Can be repeated.",
-)  # fmt: skip
-
-
-def listen(host: str, port: int | None, public_url: str | None) -> socket.socket:
-    """Return a listening socket. If no port is given, use `PORT`, or any free port if `PORT` is taken."""
-    server = live_server()
-    found: socket.socket = server.listen(host, PORT if port is None else port, otherwise=0 if port is None else None)
-    if public_url is not None:
-        note(f"listening at {server.address(found)} for a proxy that serves {public_url}")
-    return found
-
-
 def new_folder() -> Path:
     """Make a temporary folder for a session without `--data`, and return its path."""
     return Path(tempfile.mkdtemp(prefix="kitassist-"))
 
 
 def conduct(
-    file: Path, data: Path | None, given: Given[Any], host: str, port: int | None, rehearse: int,
-    public_url: str | None, trusted_proxies: Networks,
+    file: Path, data: Path | None, given: Given[Any], at: Listening, rehearse: int
 ) -> None:  # fmt: skip
     """Serve a user study. After a rehearsal, write its export and report."""
     context = click.get_current_context()
@@ -146,10 +85,10 @@ def conduct(
         note(f"the study is saved in {folder}; Ctrl-C ends the service, --data {folder} resumes it")
 
     try:
-        with listen(host, port, public_url) as listening:
+        with at.listen() as listening:
             serving.serve(
-                study, tasks, folder, listening, ready, participants=rehearse, public_url=public_url,
-                trusted_proxies=trusted_proxies,
+                study, tasks, folder, listening, ready, participants=rehearse, public_url=at.public_url,
+                trusted_proxies=at.trusted_proxy,
             )  # fmt: skip
     except UserCodeError as error:
         fail(str(error), ExitCode.USAGE)

@@ -154,8 +154,8 @@ class TeamEnv(gymnasium.Env):
 
     After `reset(seed=s)` the episodes are episodes 0, 1, ... of `simulate(pool, ..., humans=K, episodes=n, seed=s)`,
     with the same random numbers. The same actions therefore have the same outcome. The first `reset(seed=s)` draws the
-    pool of `kitassist simulate --seed s`, and later ones keep it, unless `pool_seed` or a pool is given. `team` is the
-    state that team policies read.
+    pool of `kitassist simulate --seed s`, and later ones keep it, unless a pool is given. `team` is the state that team
+    policies read.
 
     Parameters
     ----------
@@ -165,12 +165,8 @@ class TeamEnv(gymnasium.Env):
         K, the number of people in a team.
     beliefs : bool
         Whether the observation holds the belief over (beta, theta). Otherwise it holds the states of the task only.
-    people : int, optional
-        The size of the pool from which teams are drawn; 12, or K if that is more, unless given.
-    pool_seed : int, optional
-        The random seed of the pool; that of the first `reset` with a seed unless given.
     setting, population
-        As in `Pool.sample`.
+        As in `Pool.sample`; not together with a pool. Teams are drawn from 12 people, or from K if that is more.
     distance : array, shape (K + 1, K + 1), optional
         As in `Travel.of`.
     world : "people" or "model"
@@ -189,16 +185,14 @@ class TeamEnv(gymnasium.Env):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "svg"], "render_fps": 1}
 
     def __init__(
-        self, instance: AnyTask | Pool, humans: int = 2, *, beliefs: bool = True, people: int | None = None,
-        pool_seed: int | None = None, setting: Setting | None = None, population: Population | None = None,
-        distance: ArrayLike | None = None, world: World = "people", render_mode: str | None = None,
+        self, instance: AnyTask | Pool, humans: int = 2, *, beliefs: bool = True, setting: Setting | None = None,
+        population: Population | None = None, distance: ArrayLike | None = None, world: World = "people",
+        render_mode: str | None = None,
     ) -> None:  # fmt: skip
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode {render_mode!r}: expected {' or '.join(self.metadata['render_modes'])}")
         self._instance, self.render_mode = instance, render_mode
-        self._source = PoolSource(
-            instance, humans, people=people, seed=pool_seed, setting=setting, population=population
-        )
+        self._source = PoolSource(instance, humans, setting, population)
         self._made = partial(_Desk, teams=1, humans=humans, beliefs=beliefs, distance=distance, world=world)
         self._desk = self._made(self._source.pool)
         self.observation_space, self.action_space = self._desk.spaces()
@@ -346,7 +340,7 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
     instance : Pool, cost-to-go, or whatever `planner.load` takes
     num_envs : int
         N, the number of teams.
-    humans, beliefs, people, pool_seed, setting, population, distance, world
+    humans, beliefs, setting, population, distance, world
         As in `TeamEnv`. Without `beliefs` no filters are run, and `team.belief` is None.
     """
 
@@ -354,13 +348,11 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
 
     def __init__(
         self, instance: AnyTask | Pool, num_envs: int = 1, humans: int = 2, *, beliefs: bool = True,
-        people: int | None = None, pool_seed: int | None = None, setting: Setting | None = None,
-        population: Population | None = None, distance: ArrayLike | None = None, world: World = "people",
+        setting: Setting | None = None, population: Population | None = None, distance: ArrayLike | None = None,
+        world: World = "people",
     ) -> None:  # fmt: skip
         self.num_envs = num_envs
-        self._source = PoolSource(
-            instance, humans, people=people, seed=pool_seed, setting=setting, population=population
-        )
+        self._source = PoolSource(instance, humans, setting, population)
         self._made = partial(
             _Desk, teams=num_envs, humans=humans, beliefs=beliefs, distance=distance, world=world, filters=beliefs
         )

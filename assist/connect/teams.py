@@ -38,15 +38,15 @@ Ints = NDArray[np.int64]
 class PoolSource:
     """The pool of an environment: a given one, or people at a task who are drawn with a seed.
 
-    Unless the seed is given, they are those of seed 0 until the first `reset` with a seed, which draws the people of
-    `kitassist simulate` with that seed. They stay until the end.
+    They are those of seed 0 until the first `reset` with a seed, which draws the people of `kitassist simulate` with
+    that seed. They stay until the end.
 
     Parameters
     ----------
     instance : Pool, cost-to-go, or whatever `planner.load` takes
     humans : int
         Number of people in a team.
-    people, seed, setting, population, optional
+    setting, population, optional
         As in `TeamEnv`; not together with a pool.
 
     Raises
@@ -58,21 +58,20 @@ class PoolSource:
     """
 
     def __init__(
-        self, instance: AnyTask | Pool, humans: int, *, people: int | None, seed: int | None,
-        setting: Setting | None, population: Population | None,
+        self, instance: AnyTask | Pool, humans: int, setting: Setting | None, population: Population | None
     ) -> None:  # fmt: skip
         self._options: dict[str, Any] = {"setting": setting, "population": population}
         if isinstance(instance, Pool):
-            for name, value in {"people": people, "pool_seed": seed, **self._options}.items():
+            for name, value in self._options.items():
                 if value is not None:
                     raise ValueError(f"{name} has no effect with a pool, which has its own; expected none")
             self._waits, self.pool = False, instance
         else:
-            self._waits, self._size = seed is None, max(12, humans) if people is None else people
+            self._waits, self._size = True, max(12, humans)
             if not isinstance(instance, Table):
                 instance = sweep(task_of(instance), max_states=MAX_ENUMERATED)
             self._table = instance
-            self.pool = self._sample(0 if seed is None else seed)
+            self.pool = self._sample(0)
         self.pool.setting.require_questions(1)
         self.pool.setting.require_effect()
         if not 1 <= humans <= len(self.pool.people):

@@ -41,6 +41,12 @@ REPORTS = logging.getLogger(f"{__package__}.reports")
 """Log of all answered reports, without names of people, for which records could not be erased."""
 
 
+WAITING = 5000
+"""Largest number of queued reports; further ones are refused with status 503."""
+BATCH = 256
+"""Largest number of reports in one write to the disk. More would delay the first answer of a full batch."""
+
+
 class Bridge(Protocol):
     """A connection between the service and another protocol, which works while the service runs."""
 
@@ -97,10 +103,6 @@ class Service:
     access : AccessTokens
     tick : float
         Seconds without an event after which the robot decides again.
-    waiting : int
-        Largest number of queued reports; further ones are refused with status 503.
-    batch : int
-        Largest number of reports in one write to the disk. More would delay the first answer of a full batch.
     connections : int
         Largest number of open connections for one person's view, such as those of several tabs.
     texts : Catalogue
@@ -126,13 +128,13 @@ class Service:
     shown: ClassVar[Mapping[str, type[BaseModel]]] = {"person": Person, "place": Place, "robot": Robot}
 
     def __init__(
-        self, session: Session, access: AccessTokens, *, tick: float = 2.0, waiting: int = 5000, batch: int = 256,
-        connections: int = 64, texts: Catalogue | None = None, ping: float = 15.0, check: float = 1.0,
+        self, session: Session, access: AccessTokens, *, tick: float = 2.0, connections: int = 64,
+        texts: Catalogue | None = None, ping: float = 15.0, check: float = 1.0,
     ) -> None:  # fmt: skip
         self.texts = catalogue() if texts is None else texts
         self.ping, self._every = ping, check
         self._most_connections = connections
-        self.session, self.access, self.tick, self._batch = session, access, tick, batch
+        self.session, self.access, self.tick = session, access, tick
         session.changed = self._seen
         self._suggested: dict[str, tuple[Any, int]] = {}  # a suggestion, and the `seq` of the first view with it
         self.views = {person: self._view(person) for person in self.session.people}
@@ -148,7 +150,7 @@ class Service:
         self._watchers: dict[str, set[Watcher]] = {}
         self._operators, self._followers = set[Watcher](), set[Watcher]()
         self._ending = False
-        self._reports: queue.Queue[tuple[Event | Erasure, asyncio.Future[Outcome]] | None] = queue.Queue(waiting)
+        self._reports: queue.Queue[tuple[Event | Erasure, asyncio.Future[Outcome]] | None] = queue.Queue(WAITING)
         self._changes: dict[str, bytes | None] = {}
         self._writer: threading.Thread | None = None
         self._last = 0.0
@@ -184,7 +186,7 @@ class Service:
         while not ended:
             taken = [self._reports.get()]
             with suppress(queue.Empty):
-                while len(taken) < self._batch:
+                while len(taken) < BATCH:
                     taken.append(self._reports.get_nowait())
             ended = None in taken
             events, futures = list[Event](), list[asyncio.Future[Outcome]]()

@@ -438,7 +438,7 @@ def betas(pool: Pool) -> list[float]:
 
 
 def test_the_episodes_of_an_environment_are_those_of_the_command(tmp_path: Path) -> None:
-    """The first reset with a seed draws the pool; later ones keep it, and `pool_seed` draws another one."""
+    """The first reset with a seed draws the pool; later ones keep it."""
     gymnasium = pytest.importorskip("gymnasium")
     written = {}
     for seed in (1, 2):
@@ -456,7 +456,7 @@ def test_the_episodes_of_an_environment_are_those_of_the_command(tmp_path: Path)
     assert betas(env.unwrapped.pool) == people
     assert other != pytest.approx(written[2])
     assert env.observation_space == before == env.unwrapped._desk.spaces()[0]
-    apart = gymnasium.make(TEAM, instance=TINY, humans=2, beliefs=False, pool_seed=2)
+    apart = gymnasium.make(TEAM, instance=TINY, humans=2, beliefs=False)
     assert idle_returns(apart, 4, 2) == pytest.approx(written[2])
     assert idle_returns(apart, 4, 1) != pytest.approx(written[1])
     many = gymnasium.make_vec(TEAM, num_envs=4, instance=TINY, humans=2)
@@ -477,8 +477,6 @@ def test_environments_refuse_what_has_no_effect(tiny: Table) -> None:
         ({"setting": Setting(c_execute=2)}, ValueError, "c_execute 2 has no effect without robots that execute"),
         ({"setting": Setting(trust="constant", eta=0.5)}, ValueError, "eta 0.5 has no effect without trust 'paper'"),
         ({"instance": [TINY, TINY]}, TypeError, "a list where a task was expected: its name, such as 'kitting/tiny'"),
-        ({"instance": pool, "people": 3}, ValueError, "people has no effect with a pool, which has its own"),
-        ({"instance": pool, "pool_seed": 0}, ValueError, "pool_seed has no effect with a pool"),
         ({"instance": pool, "setting": Setting()}, ValueError, "setting has no effect with a pool"),
     ):
         for make in (

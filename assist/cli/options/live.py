@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -16,7 +16,7 @@ from planner.system.errors import InputFileError, expected
 
 from ...declare.catalogue import catalogue
 from ...declare.options import Given, setting_options
-from .common import Command, Option, data_option, domain_option, humans_option, with_options
+from .common import data_option, domain_option, humans_option, together
 from .config import ENVIRONMENT, read_config
 from .goals import check_questions, goals_option, several_goals
 from .policies import policies_of, policy_option
@@ -35,9 +35,24 @@ if TYPE_CHECKING:
     from ...web.service import ReadAgain
 
 
-def live_options(command: Command) -> Command:
-    """Add the options of a live session, with those of its setting. `plan_of` takes their values."""
-    options: tuple[Option[Any], ...] = (
+class LiveOptions(NamedTuple):
+    """The tasks, the people and the policy of a live session, with its setting."""
+
+    instances: tuple[str, ...]
+    humans: int | None
+    simulate: int
+    data: Path | None
+    policy: str
+    problems: tuple[str, ...]
+    domain: str | None
+    setting: LiveSetting
+    given: Given[LiveSetting]
+
+
+live_options = together(
+    "team", LiveOptions,
+    (
+        click.argument("instances", metavar="INSTANCE...", nargs=-1),
         humans_option(required=False),
         click.option(
             "--simulate", type=click.IntRange(min=0), default=0, metavar="N",
@@ -48,19 +63,18 @@ def live_options(command: Command) -> Command:
         goals_option,
         domain_option,
         setting_options(LiveSetting, without=("trust", "population"), environment=ENVIRONMENT),
-    )  # fmt: skip
-    return with_options(command, options)
+    ),
+)  # fmt: skip
 
 
-def plan_of(
-    instances: tuple[str, ...], setting: LiveSetting, given: Given[LiveSetting], *, humans: int, simulate: int,
-    data: Path | None, policy: str, domain: str | None, problems: Sequence[str],
-) -> ServedTeam:  # fmt: skip
+def plan_of(team: LiveOptions) -> ServedTeam:
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
     from ...people.goals import first_of
     from ...web.server import ServedTeam
 
+    setting, given, problems = team.setting, team.given, team.problems
+    humans, simulate, data = team.humans or 0, team.simulate, team.data
     if simulate > humans:
         raise click.UsageError(f"--simulate {simulate} is more than --humans {humans}")
     if not simulate:
@@ -70,7 +84,7 @@ def plan_of(
     doubtful = setting.observation is not None or setting.suggestions == "all"
     check_questions(setting, given, problems, doubtful=doubtful)
     given.refuse(["knowledge", "max_steps"], "on a live team")
-    (chosen_policy,) = policies_of((policy,)).values()
+    (chosen_policy,) = policies_of((team.policy,)).values()
     chosen = chosen_setting(setting, given, rate=False)
     if chosen.trust != "paper":  # influence on real people is constant unless a rule is given
         given.refuse(RATES, 'without trust = "paper"')
@@ -79,7 +93,7 @@ def plan_of(
     try:
         texts = catalogue(setting.language)
         distance = None if setting.distances is None else travel_of(chosen, humans, setting.distances).distance
-        found = _named(find_instances(instances, domain))
+        found = _named(find_instances(team.instances, team.domain))
         if problems and len(found) > 1:
             raise click.UsageError(
                 f"--goals with {len(found)} instances: expected one INSTANCE, which has the first goal"
@@ -88,7 +102,7 @@ def plan_of(
             str(next(iter(found.values())).problem),
             problems,
             setting.goal_prior,
-            domain=domain,
+            domain=team.domain,
         )
         tasks: dict[str, CostToGo | Goals] = {
             name: goals or costs_of(one, max_states=SolveOptions.max_states, memory_limit_mb=None)
@@ -115,7 +129,7 @@ def plan_of(
 
 
 def changed_settings(
-    config: Path, context: click.Context, session: Session, setting: LiveSetting, given: Given[LiveSetting]
+    config: Path, context: click.Context, session: Session, team: LiveOptions
 ) -> Callable[[], ReadAgain]:
     """Return a function that reads a configuration again, and returns what follows from it for a session.
 
@@ -127,9 +141,9 @@ def changed_settings(
     from ...live.events import Began, Rearranged
     from ...web.service import ReadAgain
 
-    command, at_first = context.command, _fields(config)
+    command, at_first, setting = context.command, _fields(config), team.setting
     before = None if setting.distances is None else Path(setting.distances)
-    fixed = given.is_fixed("distances")
+    fixed = team.given.is_fixed("distances")
 
     def read() -> ReadAgain:
         try:

@@ -97,7 +97,7 @@ def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> 
 
 
 def test_gymnasium_finds_nothing_wrong(pool: Pool) -> None:
-    env = gymnasium.make("kitassist/Team-v0", instance="kitting/tiny", humans=2, people=2)
+    env = gymnasium.make("kitassist/Team-v0", instance="kitting/tiny", humans=2)
     assert "belief" in env.observation_space.spaces
     check_env(env.unwrapped)
     unseen = TeamEnv(pool, 2, beliefs=False)
@@ -111,13 +111,13 @@ def test_it_is_found_by_its_module_with_nothing_imported_before(monkeypatch: pyt
     monkeypatch.delitem(gymnasium.registry, ID)
     monkeypatch.delitem(sys.modules, "assist.connect.gymnasium")
     monkeypatch.setattr("assist.connect.gymnasium", None)  # is put back afterwards
-    env = gymnasium.make(f"assist.connect.gymnasium:{ID}", instance="kitting/tiny", humans=1, people=1)
+    env = gymnasium.make(f"assist.connect.gymnasium:{ID}", instance="kitting/tiny", humans=1)
     assert env.spec is not None
     assert env.spec.id == ID
 
 
 def test_many_are_made_natively() -> None:
-    env = gymnasium.make_vec(ID, num_envs=3, instance="kitting/tiny", humans=2, people=2)
+    env = gymnasium.make_vec(ID, num_envs=3, instance="kitting/tiny", humans=2)
     assert isinstance(env.unwrapped, TeamVectorEnv)
     first, _ = env.reset(seed=[1, 2, 3])
     again, _ = env.reset(seed=[1, 2, 3])
@@ -159,7 +159,7 @@ def test_a_suggestion_is_heard(pool: Pool) -> None:
 
 
 def test_a_team_is_drawn() -> None:
-    env = gymnasium.make(ID, instance="kitting/tiny", humans=2, people=2, render_mode="rgb_array")
+    env = gymnasium.make(ID, instance="kitting/tiny", humans=2, render_mode="rgb_array")
     env.reset(seed=0)
     first = env.render()
     env.step(0)
@@ -167,7 +167,7 @@ def test_a_team_is_drawn() -> None:
     assert first.dtype == np.uint8
     assert first.shape[2] == 3
     assert first.shape != second.shape or not np.array_equal(first, second)
-    drawn = TeamEnv("kitting/tiny", 1, people=1, render_mode="svg")
+    drawn = TeamEnv("kitting/tiny", 1, render_mode="svg")
     drawn.reset(seed=0)
     assert "person 1, step 0" in drawn.render()
 
@@ -231,7 +231,7 @@ def test_robots_that_differ_and_act_at_random_never_attend_to_the_same_person(ti
 
 
 def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None:
-    slow = {"instance": "kitting/tiny", "humans": 3, "people": 4, "setting": Setting(robots=2, travel_time=1)}
+    slow = {"instance": "kitting/tiny", "humans": 3, "setting": Setting(robots=2, travel_time=1)}
     env = gymnasium.make("kitassist/Team-v0", **slow)
     check_env(env.unwrapped, skip_render_check=True)
     many = gymnasium.make_vec("kitassist/Team-v0", num_envs=16, **slow)
