@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
 
 from ..declare.options import Given, setting_options
-from .options.common import INPUT_FILE, domain_option, figures_option, json_option, out_option, separate_files
+from .options.common import figures_option, json_option, out_option, separate_files, together
 from .options.help import command
-from .options.log import ReadingOptions, folds_option, method_of, reading_options, with_task
+from .options.log import ReadingOptions, TaskLog, folds_option, method_of, reading_options, task_log_options, with_task
 from .options.settings import EstimateSetting
-from .options.task import one_instance
-from .options.trust import advice_of, advice_options
-from .output.comparisons import models_compared, rules_compared, show_comparison
+from .options.trust import AdviceOptions, advice_of, advice_options
+from .output.comparisons import ComparisonFiles, models_compared, rules_compared, show_comparison
 from .terminal.console import ExitCode, one_line_errors
+
+comparison_files = together("files", ComparisonFiles, (out_option("one record per person (JSON Lines)"), json_option))
 
 
 @click.group()
@@ -25,18 +25,15 @@ def compare() -> None:
 
 
 @command("compare models kitting/paper log.csv", "models")
-@click.argument("instance", metavar="INSTANCE")
-@click.argument("file", metavar="LOG", type=INPUT_FILE)
+@task_log_options()
 @folds_option
-@out_option("one record per person (JSON Lines)")
+@comparison_files
 @figures_option
-@domain_option
 @reading_options
 @setting_options(EstimateSetting)
-@json_option
 def models(
-    instance: str, domain: str | None, file: Path, folds: int, out: Path | None, figures: Path | None, as_json: bool,
-    setting: EstimateSetting, given: Given[EstimateSetting], **options: Any,
+    log: TaskLog, folds: int, files: ComparisonFiles, figures: Path | None, reading: ReadingOptions,
+    setting: EstimateSetting, given: Given[EstimateSetting],
 ) -> None:  # fmt: skip
     """Compare choice models: cost alone, and cost with one or all terms, on a LOG of people's actions."""
     from ..drawing.plots import style
@@ -44,53 +41,45 @@ def models(
     given.refuse(
         ("goal_prior", "seed", "theta_per_episode", "confidence", "chooses"), "on a comparison of choice models"
     )
-    reading, method = ReadingOptions.of(setting, options), method_of(setting)
     with one_line_errors("interrupted; states evaluated on demand are saved"):
-        found = one_instance(instance, domain)
-        separate_files({"--out": out}, {"INSTANCE": found.problem, "its domain": found.domain, "LOG": file})
+        found, file, inputs = log.found()
+        separate_files({"--out": files.out}, inputs)
         if figures:
             style.require()
-        seen = with_task(found, file, reading)
-        show_comparison(models_compared(seen, method, folds), out, figures, as_json=as_json)
+        seen = with_task(found, file, reading, setting)
+        show_comparison(models_compared(seen, method_of(setting), folds), files, figures)
     if not seen.complete:
         sys.exit(ExitCode.FAILED)
 
 
 @command("compare rules kitting/paper log.csv", "rules")
-@click.argument("instance", metavar="INSTANCE", required=False)
-@click.argument("file", metavar="LOG", type=INPUT_FILE, required=False)
+@task_log_options(required=False)
 @folds_option
 @advice_options
-@out_option("one record per person (JSON Lines)")
-@domain_option
+@comparison_files
 @reading_options
 @setting_options(EstimateSetting)
-@json_option
 def rules(
-    instance: str | None, domain: str | None, file: Path | None, folds: int, out: Path | None, as_json: bool,
-    advice: Path | None, rows: tuple[str, ...], setting: EstimateSetting, given: Given[EstimateSetting],
-    **options: Any,
+    log: TaskLog, folds: int, judged: AdviceOptions, files: ComparisonFiles, reading: ReadingOptions,
+    setting: EstimateSetting, given: Given[EstimateSetting],
 ) -> None:  # fmt: skip
     """Compare trust rules on a LOG of people's actions, or on judgements with --advice.
 
     Of --advice, base rates, a theta that all people share, and rules of given steps are compared, too.
     """
     given.refuse(("goal_prior", "seed", "chooses"), "on a comparison of trust rules")
-    reading, method = ReadingOptions.of(setting, options), method_of(setting)
+    method = method_of(setting)
     with one_line_errors("interrupted; states evaluated on demand are saved"):
-        judgements = advice_of(advice, rows, setting, given, {"folds", "level"})
+        judgements = advice_of(judged, setting, given, {"folds", "level"})
         if judgements is not None:
-            separate_files({"--out": out}, {"--advice": advice})
-            found = rules_compared(judgements, str(advice), method, folds, carry=True)
-            show_comparison(found, out, None, as_json=as_json)
+            separate_files({"--out": files.out}, {"--advice": judged.advice})
+            show_comparison(rules_compared(judgements, str(judged.advice), method, folds, carry=True), files)
             return
-        if instance is None or file is None:
-            raise click.UsageError("expected INSTANCE and LOG, or --advice")
-        task = one_instance(instance, domain)
-        separate_files({"--out": out}, {"INSTANCE": task.problem, "its domain": task.domain, "LOG": file})
-        seen = with_task(task, file, reading)
-        found = rules_compared(seen.observations(), seen.log.name, method, folds, carry=not setting.theta_per_episode)
-        show_comparison(found, out, None, as_json=as_json)
+        task, file, inputs = log.found()
+        separate_files({"--out": files.out}, inputs)
+        seen = with_task(task, file, reading, setting)
+        carry = not setting.theta_per_episode
+        show_comparison(rules_compared(seen.observations(), seen.log.name, method, folds, carry=carry), files)
     if not seen.complete:
         sys.exit(ExitCode.FAILED)
 

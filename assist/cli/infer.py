@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -27,9 +26,8 @@ from .terminal.console import ExitCode, one_line_errors
 @setting_options(GoalSetting)
 @json_option
 def infer(
-    problems: tuple[str, ...], file: Path, out: Path | None, domain: str | None, as_json: bool, setting: GoalSetting,
-    given: Given[GoalSetting],  # noqa: ARG001
-    **options: Any,
+    problems: tuple[str, ...], file: Path, out: Path | None, domain: str | None, as_json: bool, reading: ReadingOptions,
+    setting: GoalSetting, given: Given[GoalSetting],  # noqa: ARG001
 ) -> None:  # fmt: skip
     """Infer which goal people pursue from a LOG of their actions.
 
@@ -42,12 +40,11 @@ def infer(
 
     if file.suffix == ".pddl":
         raise click.UsageError(f"LOG {file}: expected a log of actions after the problems")
-    reading = ReadingOptions.of(setting, options)
     with one_line_errors("interrupted; nothing was inferred"):
         separate_files(
             {"--out": out}, {"LOG": file, **{str(one): one.problem for one in find_instances(problems, domain)}}
         )
-        seen = with_goals(problems, file, reading, domain=domain, prior=setting.goal_prior or None)
+        seen = with_goals(problems, file, domain, reading, setting)
         try:
             found = infer_goals(seen, beta=Grid.regular(Population(beta=setting.beta)).beta, lapse=setting.lapse)
         except ValueError as error:

@@ -18,10 +18,10 @@ from planner.system.progress import progress_bar, stages
 
 from ...declare.declared import names_of
 from ..terminal.console import ExitCode, fail
-from .common import Command, Option, jobs_option, with_options
+from .common import INPUT_FILE, Option, domain_option, jobs_option, together
 from .goals import goals_of
-from .settings import EstimateSetting, ReadingSetting
-from .task import tell_note, tell_of_compiling
+from .settings import EstimateSetting, GoalSetting, ReadingSetting
+from .task import one_instance, tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
     from planner import CostToGo, OnDemand
@@ -30,29 +30,6 @@ if TYPE_CHECKING:
     from ...learning.log import Fault, Log
     from ...learning.method import Method
     from ...learning.observations import EvaluatedStates
-
-
-def reading_options(command: Command) -> Command:
-    """Add the options for reading a log and for evaluating the states that it visits."""
-    options: tuple[Option[Any], ...] = (
-        click.option(
-            "--drop", multiple=True, metavar="ACTION",
-            help="Ignore actions with this name, or with this name and arguments.",
-        ),
-        click.option(
-            "--rename", multiple=True, metavar="OLD=NEW",
-            help="Replace the name OLD in the log by NEW. May be repeated.",
-        ),
-        click.option(
-            "--columns", multiple=True, metavar="NAME=COLUMN,...",
-            help="Names of the log's columns, such as person=worker,action=move.",
-        ),
-        click.option(
-            "--strict", is_flag=True, help="Stop if any line cannot be used, or if any state exceeds the time limit."
-        ),
-        jobs_option,
-    )  # fmt: skip
-    return with_options(command, options)
 
 
 folds_option = click.option(
@@ -69,32 +46,15 @@ def method_of(setting: EstimateSetting) -> Method:
 
 
 class ReadingOptions(NamedTuple):
-    """The values of `reading_options`, and how a setting says that a log is read."""
+    """How a log is read besides the command's setting."""
 
     drop: tuple[str, ...]
     rename: tuple[str, ...]
     columns: tuple[str, ...]
     strict: bool
     jobs: int | None
-    gaps: bool
-    max_states: int
-    time_limit: float | None
-    cache: Path | None
 
-    @classmethod
-    def of(cls, setting: ReadingSetting, options: dict[str, Any]) -> ReadingOptions:
-        """Return the values of a command's setting and options."""
-        cache = None if setting.cache is None else Path(setting.cache)
-        return cls(
-            **options, gaps=setting.gaps, max_states=setting.max_states, time_limit=setting.time_limit, cache=cache
-        )
-
-    @property
-    def evaluation(self) -> dict[str, Any]:
-        """Those that say how states are evaluated."""
-        return {name: getattr(self, name) for name in ("max_states", "time_limit", "cache", "jobs")}
-
-    def replayed(self, file: Path, task: Any, **more: Any) -> Evidence:
+    def replayed(self, file: Path, setting: ReadingSetting, task: Any, **more: Any) -> Evidence:
         """Replay a log, as `learning.replayed` does; tell its faults. Expected errors end the command in one line."""
         from ...learning.evidence import replayed
         from ...learning.log import told
@@ -106,7 +66,7 @@ class ReadingOptions(NamedTuple):
                 fail(f"{file}: nothing is estimated, because of --strict", ExitCode.FAILED)
 
         names = renamed(self.rename)
-        log = log_of(file, self.columns, gaps=self.gaps)
+        log = log_of(file, self.columns, gaps=setting.gaps)
         tasks = task()
         try:
             found = replayed(tasks, log, tell=tell, drop=self.drop, rename=names, strict=self.strict, **more)
@@ -119,7 +79,65 @@ class ReadingOptions(NamedTuple):
         return found
 
 
-def with_task(found: Instance, file: Path, reading: ReadingOptions, *, table: bool = False) -> Evidence:
+reading_options = together(
+    "reading", ReadingOptions,
+    (
+        click.option(
+            "--drop", multiple=True, metavar="ACTION",
+            help="Ignore actions with this name, or with this name and arguments.",
+        ),
+        click.option(
+            "--rename", multiple=True, metavar="OLD=NEW",
+            help="Replace the name OLD in the log by NEW. May be repeated.",
+        ),
+        click.option(
+            "--columns", multiple=True, metavar="NAME=COLUMN,...",
+            help="Names of the log's columns, such as person=worker,action=move.",
+        ),
+        click.option(
+            "--strict", is_flag=True, help="Stop if any line cannot be used, or if any state exceeds the time limit."
+        ),
+        jobs_option,
+    ),
+)  # fmt: skip
+
+
+class TaskLog(NamedTuple):
+    """A task and a log of what people did in it."""
+
+    instance: str | None
+    file: Path | None
+    domain: str | None
+
+    def found(self) -> tuple[Instance, Path, dict[str, Path | None]]:
+        """Return the instance, the log, and both and the domain as the command's input files.
+
+        Raises
+        ------
+        click.UsageError
+            There is none, and no other data in its place.
+        """
+        if self.instance is None or self.file is None:
+            raise click.UsageError("expected INSTANCE and LOG, or --advice")
+        found = one_instance(self.instance, self.domain)
+        return found, self.file, {"INSTANCE": found.problem, "its domain": found.domain, "LOG": self.file}
+
+
+def task_log_options(*, required: bool = True) -> Option[Any]:
+    """Return what adds the arguments INSTANCE and LOG, and the option `--domain`."""
+    return together(
+        "log", TaskLog,
+        (
+            click.argument("instance", metavar="INSTANCE", required=required),
+            click.argument("file", metavar="LOG", type=INPUT_FILE, required=required),
+            domain_option,
+        ),
+    )  # fmt: skip
+
+
+def with_task(
+    found: Instance, file: Path, reading: ReadingOptions, setting: ReadingSetting, *, table: bool = False
+) -> Evidence:
     """Replay a log in the task of an instance. Expected errors end the command in one line.
 
     With `table`, states are those of a table of the whole task, as a choice model needs it.
@@ -136,24 +154,35 @@ def with_task(found: Instance, file: Path, reading: ReadingOptions, *, table: bo
         if not table:
             walked.append(planner.OnDemand(task))
             return walked[0]
-        most = min(WHOLE, reading.max_states)
+        most = min(WHOLE, setting.max_states)
         whole = planner.cost_to_go(task, max_states=most, cache=planner.Cache(task))
         if not is_whole(whole):
             raise click.UsageError(f"chooses: expected a task of at most {most:,} states")
         return whole
 
     walked: list[OnDemand] = []
-    evaluate = None if table else lambda wanted: _evaluate(walked[0], wanted, reading)
-    return reading.replayed(file, loaded, evaluate=evaluate)
+    evaluate = None if table else lambda wanted: _evaluate(walked[0], wanted, reading, setting)
+    return reading.replayed(file, setting, loaded, evaluate=evaluate)
 
 
 def with_goals(
-    problems: Sequence[str], file: Path, reading: ReadingOptions, *, domain: str | None,
-    prior: dict[str, float] | None,
+    problems: Sequence[str], file: Path, domain: str | None, reading: ReadingOptions,
+    setting: GoalSetting | EstimateSetting,
 ) -> Evidence:  # fmt: skip
     """Replay a log in the tasks of several goals. Expected errors end the command in one line."""
     every = list(dict.fromkeys(str(found.problem) for found in find_instances(problems, domain)))
-    return reading.replayed(file, lambda: goals_of(every, domain=domain, **reading.evaluation), prior=prior)
+
+    def loaded() -> dict[str, CostToGo]:
+        return goals_of(
+            every, domain=domain, max_states=setting.max_states, time_limit=setting.time_limit, cache=_cache(setting),
+            jobs=reading.jobs,
+        )  # fmt: skip
+
+    return reading.replayed(file, setting, loaded, prior=setting.goal_prior or None)
+
+
+def _cache(setting: ReadingSetting) -> Path | None:
+    return None if setting.cache is None else Path(setting.cache)
 
 
 def log_of(file: Path, columns: tuple[str, ...], *, gaps: bool) -> Log:
@@ -194,20 +223,22 @@ def _columns(given: tuple[str, ...]) -> dict[str, str]:
     return names
 
 
-def _evaluate(walked: OnDemand, wanted: NDArray[np.int64], reading: ReadingOptions) -> EvaluatedStates:
+def _evaluate(
+    walked: OnDemand, wanted: NDArray[np.int64], reading: ReadingOptions, setting: ReadingSetting
+) -> EvaluatedStates:
     """Evaluate the wanted states among those that were visited, by a sweep or on demand.
 
     States that exceed the time limit get NaN. With `strict`, they raise `LimitError`.
     """
     from ...learning.observations import EvaluatedStates
 
-    values, limits = walked.values(wanted), Limits(seconds=reading.time_limit)
-    kept = planner.Cache(walked.task, reading.cache)
+    values, limits = walked.values(wanted), Limits(seconds=setting.time_limit)
+    kept = planner.Cache(walked.task, _cache(setting))
     what = f"evaluating {len(wanted):,} states"
     with stages() as show:
         show(what, 0, None)
         costs = planner.cost_to_go(
-            walked.task, values, max_states=reading.max_states, cache=kept, jobs=reading.jobs or processors(),
+            walked.task, values, max_states=setting.max_states, cache=kept, jobs=reading.jobs or processors(),
             limits=limits, progress=lambda of_all, done, total: show(f"{what}; all of the task, {of_all}", done, total),
         )  # fmt: skip
     numbers = costs.numbers(values)

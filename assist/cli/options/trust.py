@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -13,7 +12,7 @@ from planner.system.errors import InputFileError
 from ...declare.declared import names_of
 from ...declare.options import Given
 from ..terminal.console import ExitCode, fail
-from .common import INPUT_FILE, Command, Option, is_given, with_options
+from .common import INPUT_FILE, is_given, together
 from .settings import EstimateSetting
 
 if TYPE_CHECKING:
@@ -23,9 +22,16 @@ WITH_ADVICE = {"advice", "rows", "out", "as_json", "changes", "setting_file"}
 """Parameters of all commands that have an effect with `--advice`."""
 
 
-def advice_options(command: Command) -> Command:
-    """Add the options about judgements with advice, which take the place of a log."""
-    options: tuple[Option[Any], ...] = (
+class AdviceOptions(NamedTuple):
+    """Judgements with advice that take the place of a log: a file, and which rows of it."""
+
+    advice: Path | None
+    rows: tuple[str, ...]
+
+
+advice_options = together(
+    "judged", AdviceOptions,
+    (
         click.option(
             "--advice", type=INPUT_FILE,
             help="Estimate influence from judgements with advice (CSV), in place of INSTANCE and LOG.",
@@ -34,19 +40,18 @@ def advice_options(command: Command) -> Command:
             "--rows", multiple=True, metavar="COLUMN=VALUE",
             help="Use the rows of --advice with this value in this column only. Several must all hold.",
         ),
-    )  # fmt: skip
-    return with_options(command, options)
+    ),
+)  # fmt: skip
 
 
 def advice_of(
-    advice: Path | None, rows: Sequence[str], setting: EstimateSetting, given: Given[EstimateSetting], also: set[str]
+    judged: AdviceOptions, setting: EstimateSetting, given: Given[EstimateSetting], also: set[str]
 ) -> AdviceLog | None:
     """Return the judgements with advice; None without any.
 
     Parameters
     ----------
-    advice, rows
-        Values of `advice_options`.
+    judged : AdviceOptions
     setting, given
         The command's setting, and what of it was given.
     also : set of str
@@ -59,15 +64,15 @@ def advice_of(
         An option has no effect together with the others.
     """
     chosen: dict[str, str] = {}
-    for one in rows:
+    for one in judged.rows:
         column, equals, value = (part.strip() for part in one.partition("="))
         if not column or not equals:
             raise click.UsageError(f"--rows {one}: expected COLUMN=VALUE, such as condition=feedback")
         if column in chosen:
             raise click.UsageError(f"--rows: column {column} is there twice; expected one value for it")
         chosen[column] = value
-    if advice is None:
-        if rows:
+    if judged.advice is None:
+        if judged.rows:
             raise click.UsageError("--rows: expected --advice as well")
         given.refuse(["confidence"], "without --advice")
         return None
@@ -79,6 +84,6 @@ def advice_of(
     from ...learning.advice_log import read_advice
 
     try:
-        return read_advice(advice, confidence=setting.confidence, rows=chosen)
+        return read_advice(judged.advice, confidence=setting.confidence, rows=chosen)
     except InputFileError as error:
         fail(str(error), ExitCode.FAILED)

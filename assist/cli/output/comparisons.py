@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 from rich.table import Table
 
-from planner.system import files
 from planner.system.errors import InputFileError
+from planner.system.files import write_records
 from planner.system.progress import stages
 
 from ..terminal.console import ExitCode, fail, print_json, print_table
@@ -48,15 +48,22 @@ def rules_compared(
         fail(f"{name}: {error}", ExitCode.FAILED)
 
 
-def show_comparison(compared: Comparison, out: Path | None, figures: Path | None, *, as_json: bool) -> None:
+class ComparisonFiles(NamedTuple):
+    """Where a comparison is written, and whether it is printed as JSON."""
+
+    out: Path | None
+    as_json: bool
+
+
+def show_comparison(compared: Comparison, files: ComparisonFiles, figures: Path | None = None) -> None:
     """Write and print a comparison."""
     from ...drawing.plots import people as pictures
 
-    if out:
-        files.write_records(out, compared.of_people())
+    if files.out:
+        write_records(files.out, compared.of_people())
     if figures:
         pictures.draw_comparison(compared, figures)
-    if as_json:
+    if files.as_json:
         print_json(compared.as_dict())
         return
     reference, people = compared.scores[0].model, len(compared.people)

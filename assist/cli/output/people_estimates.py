@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from planner.system import files
 from planner.system.errors import InputFileError
+from planner.system.files import atomic, write_records
 from planner.system.limits import processors
 from planner.system.progress import stages
 
@@ -51,28 +51,35 @@ def _show_first(seen: Evidence, method: Method) -> None:
         click.echo(f"first, {one}", err=True)
 
 
-def show_people(
-    people: FittedPeople, out: Path | None, population: Path | None, family: str | None, figures: Path | None, *,
-    as_json: bool,
-) -> bool:  # fmt: skip
+class FitFiles(NamedTuple):
+    """What `fit` writes, and where: estimates, a population of a family, figures; and whether it prints JSON."""
+
+    out: Path | None
+    population: Path | None
+    family: str | None
+    figures: Path | None
+    as_json: bool
+
+
+def show_people(people: FittedPeople, files: FitFiles) -> bool:
     """Write and print estimates and, if requested, their distribution. Return whether the whole log was used."""
     from ...drawing.plots import people as pictures
     from .estimate_tables import lines_of, table_of
 
-    if family and not population and len(people) < 3:
+    if files.family and not files.population and len(people) < 3:
         raise click.UsageError("--family: expected a log of 3 people or more, or --write-population")
     records = people.as_dicts()
-    if out:  # written first, since fitting a population takes longer
-        files.write_records(out, records)
+    if files.out:  # written first, since fitting a population takes longer
+        write_records(files.out, records)
     general = None
-    if population or (not as_json and len(people) >= 3):  # fewer say little about a population
+    if files.population or (not files.as_json and len(people) >= 3):  # fewer say little about a population
         with stages() as show:
-            general = people.distribution(family=family, progress=show)
-    if population and general:
-        write_population(general, population, people.sigma)
-    if figures:
-        pictures.draw(list(people.values()), figures)
-    if as_json:
+            general = people.distribution(family=files.family, progress=show)
+    if files.population and general:
+        write_population(general, files.population, people.sigma)
+    if files.figures:
+        pictures.draw(list(people.values()), files.figures)
+    if files.as_json:
         print_json(records)
     else:
         print_table(table_of(people), width=160)
@@ -82,5 +89,5 @@ def show_people(
 
 def write_population(found: PopulationFit, file: Path, sigma: Range = (0.0, 0.0)) -> None:
     """Write a distribution over people, with the range of their misconceptions, as `simulate --population` reads it."""
-    with files.atomic(file) as path:
+    with atomic(file) as path:
         path.write_text(json.dumps(found.as_dict(sigma), indent=1) + "\n", encoding="utf-8")

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 from rich.table import Table
 
-from planner.system import files
 from planner.system.errors import InputFileError
+from planner.system.files import write_records
 
 from ..terminal.console import ExitCode, fail, print_json, print_table
-from .people_estimates import write_population
+from .people_estimates import FitFiles, write_population
 
 if TYPE_CHECKING:
     from ...learning.advice_log import AdviceLog
@@ -22,9 +21,7 @@ if TYPE_CHECKING:
     from ...learning.trust_fit import InfluenceFit
 
 
-def show_influence(
-    seen: Evidence, rule: str, method: Method, carry: bool, out: Path | None, population: Path | None, *, as_json: bool
-) -> bool:  # fmt: skip
+def show_influence(seen: Evidence, rule: str, method: Method, carry: bool, files: FitFiles) -> bool:
     """Estimate influence under a rule. Return whether every line of the log was used."""
     from ...learning.trust_fit import fit_influence
 
@@ -32,13 +29,13 @@ def show_influence(
         found = fit_influence(seen.observations(), rule, method, carry=carry)
     except InputFileError as error:
         fail(f"{seen.log.name}: {error}", ExitCode.FAILED)
-    if population:
-        write_population(found.distribution(), population)
-    _show_influence(found, out, as_json=as_json)
+    if files.population:
+        write_population(found.distribution(), files.population)
+    _show_influence(found, files)
     return seen.complete
 
 
-def show_advice(log: AdviceLog, name: str, rule: str, out: Path | None, *, as_json: bool) -> None:
+def show_advice(log: AdviceLog, name: str, rule: str, files: FitFiles) -> None:
     """Fit a trust rule to judgements with advice."""
     from ...learning.advice_fit import fit_advice
 
@@ -46,20 +43,20 @@ def show_advice(log: AdviceLog, name: str, rule: str, out: Path | None, *, as_js
         found = fit_advice(log, rule)
     except ValueError as error:
         fail(f"{name}: {error}", ExitCode.FAILED)
-    if out:
-        files.write_records(out, [found.as_dict()])
-    if as_json:
+    if files.out:
+        write_records(files.out, [found.as_dict()])
+    if files.as_json:
         print_json(found.as_dict())
         return
     click.echo(f"{found.people:,} people, {found.choices:,} choices; log likelihood {found.log_likelihood:.3f}")
     click.echo(f"trust rule {rule}: {_numbers(found.parameters)}")
 
 
-def _show_influence(found: InfluenceFit, out: Path | None, *, as_json: bool) -> None:
+def _show_influence(found: InfluenceFit, files: FitFiles) -> None:
     document = found.as_dict()
-    if out:
-        files.write_records(out, document["people"])
-    if as_json:
+    if files.out:
+        write_records(files.out, document["people"])
+    if files.as_json:
         print_json(document)
         return
     table = Table(box=None, pad_edge=False)
