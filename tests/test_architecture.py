@@ -36,7 +36,7 @@ ROOMS = {
         choice_model weighted_choice human ranges real_people spread belief influence_kernels type_kernels trust_rules
         neighbours neighbourhood perceived_suggestions action_names signals""",
     "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings pomdp assumptions
-        visiting_robot problem_arrays people_arrays rows policy lazy_policy archive belief_filter
+        visiting_robot problem_arrays people_arrays rows problem_rows policy lazy_policy archive belief_filter
         belief_update dynamics_kernel dynamics joint_belief beliefs hidden_beliefs rounding
         action_values krylov sparse_iteration policy_iteration qmdp solution_cache alpha_vectors
         upper_hull convex_bound hsvi search memory_needed further_beliefs solver time_expansion

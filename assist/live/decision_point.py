@@ -118,7 +118,7 @@ class DecisionPoint:
             },
         )  # fmt: skip
         for number, rows in by_model(point.model, np.arange(count), len(policies)):
-            policies[number].hold(point, point.beliefs.x[rows])
+            policies[number].problem.hold(point, point.beliefs.x[rows])
         return point
 
     def explanation(

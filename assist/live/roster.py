@@ -363,7 +363,7 @@ class Roster:
             self.tasks.append(problem)
         self.model[k], self.x[k] = self.tasks.index(problem), row
         self.erred[k], self.robot[k] = erred, robot
-        problem.policy.hold(record, self.x[k : k + 1].copy())
+        problem.policy.problem.hold(record, self.x[k : k + 1].copy())
         self.ended[k] = self.finished(record) > 1 / 2
         self.changed(record)
 

@@ -24,6 +24,7 @@ from ..people.choices import WAIT
 from ..people.decision import NOTHING, Floats
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
+from .problem_rows import ProblemRows, Snapshot
 from .qmdp import expected
 from .rows import OWN, Rows
 from .state_cache import NONE
@@ -52,14 +53,6 @@ actions, shape (count, P), at each of P positions of the robot.
 """
 
 
-class Snapshot(NamedTuple):
-    """The problem on all rows so far. What becomes known of robot actions later appears in its arrays."""
-
-    pomdp: AssistPOMDP
-    arrays: ProblemArrays
-    stamps: Ints
-
-
 class _Step(NamedTuple):
     """A problem of one step from some rows, and whether it has the effects of all suggestions on trust."""
 
@@ -69,7 +62,7 @@ class _Step(NamedTuple):
     ahead: bool
 
 
-class GrowingProblem:
+class GrowingProblem(ProblemRows):
     """One person's problem on the rows in which people have been. All methods are thread-safe.
 
     Parameters
@@ -85,6 +78,8 @@ class GrowingProblem:
     ahead : bool
         Whether the effects of all suggestions on trust are computed with each row; if not, when they are first used.
     """
+
+    complete = False
 
     def __init__(
         self, around: Callable[..., TruncatedTask], problem: Callable[[TruncatedTask], AssistPOMDP], initial: int, *,

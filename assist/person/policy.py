@@ -1,9 +1,9 @@
 """Policies for one person's problem, whatever the size of the task.
 
-The problem of a policy has a row for each place where people may be (`person.rows`). If all states of the task are
-enumerated, all rows are there from the start. In a task that is too large for that
-(`person.truncated_policy`), a place gets its row when somebody comes there. Users of a policy do not distinguish
-them: they ask for the rows of the places where people are (`Policy.rows`), and for the place of a row.
+The problem of a policy has a row for each place where people may be (`person.problem_rows`). If all states of the task
+are enumerated, all rows are there from the start. In a task that is too large for that (`person.truncated_policy`), a
+place gets its row when somebody comes there. Users of a policy do not distinguish them: they ask for the rows of the
+places where people are (`Policy.rows`), and for the place of a row.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from planner import CostToGo
 from ..people.choices import Choices
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
-from .problem_arrays import ProblemArrays, read_only
+from .problem_arrays import ProblemArrays
+from .problem_rows import ProblemRows, WholeProblem
 from .ties import first_best
 from .visiting_robot import VisitingRobot
 
@@ -33,8 +34,8 @@ OfRows = Callable[[Ints], Floats]
 class Policy:
     """A policy for one person's problem. Its methods take N people at a time.
 
-    A subclass has the attribute `pomdp` and the method `q_values`. Everything else holds for enumerated tasks, whose
-    rows are their places.
+    A subclass has the attribute `pomdp` and the method `q_values`. Everything else holds for a task whose rows were
+    all added at the start.
 
     Attributes
     ----------
@@ -102,52 +103,26 @@ class Policy:
     def require_enumerated(self, what: str, why: str) -> None:
         """Check that all states are enumerated. If not, the `ValueError` says that `what` needs them, and `why`."""
 
+    @cached_property
+    def problem(self) -> ProblemRows:
+        """The problem with its rows; those of a whole task unless a subclass says otherwise."""
+        return WholeProblem(self.pomdp)
+
     def rows(self, places: Ints, holder: object = None) -> Ints:
-        """Return the row of each place where people are, shape (N,), and compute what is not known of it yet.
-
-        Parameters
-        ----------
-        places : int array, shape (N,)
-            Places as in `person.rows`: states of the task or, with terms, pairs of a state and a memory.
-        holder : object, optional
-            What keeps these numbers until it asks for others, or no longer exists. Rows without a holder may be evicted
-            when other rows are asked for.
-        """
-        del holder
-        return places
-
-    def hold(self, holder: object, rows: Ints) -> None:
-        """Let a holder hold these rows, shape (N,), in the place of those that it held before."""
+        """Return the row of each place where people are, shape (N,); arguments as in `ProblemRows.rows`."""
+        return self.problem.rows(places, holder)
 
     def places(self, rows: Ints) -> Ints:
         """Return the place of each row, shape (N,)."""
-        return rows
-
-    def hear(self, x: Ints, robot: Ints) -> None:
-        """Compute what robot actions do to trust in some rows, both of shape (N,), where it is not known yet."""
+        return self.problem.places(rows)
 
     @property
-    def at_first(self) -> AssistPOMDP:
-        """The problem before anybody has come to another place than the initial one; the whole problem if complete."""
-        return self.pomdp
-
-    @property
-    def complete(self) -> bool:
-        """Whether all places have rows, of which everything is known."""
-        return True
-
-    @cached_property
-    def stamps(self) -> Ints:
-        """A number for each row that is another one when the row has another place, shape (n,)."""
-        return read_only(np.zeros(len(self.pomdp.robot_actions), dtype=np.int64))
-
-    @cached_property
     def arrays(self) -> ProblemArrays:
         """The problem in the form that compiled code reads."""
-        return ProblemArrays.of(self.pomdp)
+        return self.problem.now.arrays
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("arrays", "stamps")}
+        return {name: value for name, value in vars(self).items() if name != "problem"}
 
     def with_robot(self, robot: VisitingRobot) -> Any:
         """Return the person's solved problem with a robot that comes and goes (`VisitingRobot.solved`)."""

@@ -39,7 +39,6 @@ from .leaf_estimates import LeafEstimates
 from .policy import OfRows, Policy
 from .policy_iteration import SOLVING
 from .pomdp import AssistPOMDP
-from .problem_arrays import ProblemArrays
 from .qmdp import look_ahead
 from .state_cache import StateCache
 from .truncated_bound import TruncatedProblem, bounded
@@ -183,52 +182,16 @@ class TruncatedPolicy(Policy):
         raise ValueError(f"{what}: expected an enumerated task, as {why}; this one is too large, with {size}")
 
     @cached_property
-    def growing(self) -> GrowingProblem:
-        """The problem on the rows in which people have been."""
+    def problem(self) -> GrowingProblem:
+        """The problem on the rows in which people have been; the initial state has row 0."""
         ground, optimal = self.ground, self.assumed.suggestions == "optimal"
         around = partial(ground.visited.around, advice_is_optimal=optimal)
-        return GrowingProblem(around, self.problem, self.task.initial, most=ground.rows, ahead=not self.searches)
+        return GrowingProblem(around, self.on, self.task.initial, most=ground.rows, ahead=not self.searches)
 
     @property
     def pomdp(self) -> AssistPOMDP:
-        """The problem on all rows so far; the initial state has row 0."""
-        return self.growing.now.pomdp
-
-    @property
-    def arrays(self) -> ProblemArrays:
-        """The problem on all rows so far, in the form that compiled code reads."""
-        return self.growing.now.arrays
-
-    @property
-    def stamps(self) -> Ints:
-        """A number for each row that is another one when the row has another place, shape (n,)."""
-        return self.growing.now.stamps
-
-    @property
-    def at_first(self) -> AssistPOMDP:
-        """The problem of the first step."""
-        return self.growing.first
-
-    @property
-    def complete(self) -> bool:
-        """Whether all places have rows; false."""
-        return False
-
-    def rows(self, places: Ints, holder: object = None) -> Ints:
-        """Return the row of each state, shape (N,); arguments as in `Policy.rows`."""
-        return self.growing.rows(places, holder)
-
-    def hold(self, holder: object, rows: Ints) -> None:
-        """Let a holder hold these rows, shape (N,), in the place of those that it held before."""
-        self.growing.hold(holder, rows)
-
-    def places(self, rows: Ints) -> Ints:
-        """Return the state of each row, shape (N,)."""
-        return self.growing.places(rows)
-
-    def hear(self, x: Ints, robot: Ints) -> None:
-        """Compute what robot actions do to trust in some rows, both of shape (N,), where it is not known yet."""
-        self.growing.hear(x, robot)
+        """The problem on all rows so far."""
+        return self.problem.now.pomdp
 
     @cached_property
     def regions(self) -> tuple[TruncatedTask, ...]:
@@ -242,7 +205,7 @@ class TruncatedPolicy(Policy):
         among = ground.known if isinstance(ground.known, Goals) else None
         return tuple(TruncatedTask.of(known, among=among, **most) for known in each_of(ground.known))
 
-    def problem(self, region: TruncatedTask) -> AssistPOMDP:
+    def on(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
         beyond = region.bounds_of_anybody(self.assumed)
         return self.assumed.problem(region.choices, beyond)
@@ -288,7 +251,7 @@ class TruncatedPolicy(Policy):
                 tell(SOLVING, 0, None)
                 like = [None] * len(self.regions) if self.like is None else self.like.prepare()
                 self.solved[()] = tuple(
-                    LeafEstimates.of(self.problem(region), region, like=start, progress=tell)
+                    LeafEstimates.of(self.on(region), region, like=start, progress=tell)
                     for region, start in zip(self.regions, like, strict=True)
                 )
         return self.solved[()]
@@ -304,7 +267,7 @@ class TruncatedPolicy(Policy):
             each = self.prepare() if self.like is None else self.like._visited(robot)
             found = []
             for region, like in zip(self.regions, each, strict=True):
-                visits = _visits(self.problem(region), robot)
+                visits = _visits(self.on(region), robot)
                 rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
                 found.append(LeafEstimates.of(visits.at_price(key[-1]), region, rows, like=like))
             self.solved[key] = tuple(found)
@@ -319,7 +282,7 @@ class TruncatedPolicy(Policy):
     def unhelped(self) -> OfRows:
         """Estimates of the values of a robot that never helps; they are computed by the first call."""
         if NEVER not in self.solved:
-            problems = [self.problem(region).unattended() for region in self.regions]
+            problems = [self.on(region).unattended() for region in self.regions]
             self.solved[NEVER] = tuple(
                 LeafEstimates.of(replace(problem, robot_actions=np.ones_like(problem.robot_actions)), region)
                 for problem, region in zip(problems, self.regions, strict=True)
@@ -333,14 +296,14 @@ class TruncatedPolicy(Policy):
     def q_values(self, x: Ints, belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
         if self.solver is None:
-            return self.growing.q_values("", self._backup, 0, x, belief)
+            return self.problem.q_values("", self._backup, 0, x, belief)
         at, q = self._own.find(self.places(x)), np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
         inside, outside = np.flatnonzero(at >= 0), np.flatnonzero(at < 0)
         if len(inside):
             found = self._own.policy.q_values(at[inside], belief[inside])
             q[inside, : found.shape[1]] = found[:, : q.shape[1]]
         if len(outside):
-            found = self.growing.q_values("", self._backup, 0, x[outside], belief[outside])
+            found = self.problem.q_values("", self._backup, 0, x[outside], belief[outside])
             q[outside, : found.shape[1]] = found
         return q
 
@@ -367,11 +330,11 @@ class VisitedRows:
     def q_values(self, step: int, position: int, x: Ints, belief: Floats) -> Floats:
         """Return the Q-values of the robot's moves, shape (N, R + 1), at any step; arguments as in `Visited`."""
         del step
-        return self.policy.growing.q_values(self._name, self._backup, position, x, belief)
+        return self.policy.problem.q_values(self._name, self._backup, position, x, belief)
 
     def advantage(self, before: Ints, now: Ints, x: Ints, move: Ints, h: Ints, t: Ints) -> Floats:
         """Return Q-values minus values, shape (N,); arguments as in `SolvedSubproblem.advantage`."""
-        table, _ = self.policy.growing.values(self._name, self._backup, x)
+        table, _ = self.policy.problem.values(self._name, self._backup, x)
         return np.asarray(table[x, now, move, h, t] - table[x, before, :, h, t].max(axis=1))
 
     @property

@@ -69,7 +69,8 @@ class ModelGroup:
         self._stamps, self._value = np.full((minds, 0), -1), np.empty((minds, 0))
         self._p, self._perceived = np.empty((minds, 0, 0)), np.empty((minds, 0, 0))
         self._model = PersonModel.of(self.policy)
-        if self.policy.complete:
+        self._problem = self.policy.problem
+        if self._problem.complete:
             rows = np.arange(len(pomdp.robot_actions))
             self._reserve(len(rows), self.arrays)
             self._work_out(np.arange(minds), rows, pomdp)
@@ -97,7 +98,7 @@ class ModelGroup:
     def act(self, rows: Ints, people: PeopleArrays) -> None:
         """Let the people of some rows, all of this model, act once."""
         model, minds, perceived = self.model, self._minds, self._perceived
-        if not self.policy.complete:
+        if not self._problem.complete:
             model, minds, perceived = self._ready(people.who[rows], people.x[rows], people.robot[rows])
         if self._rule is None:
             act(rows, people, minds, model.arrays)
@@ -107,9 +108,9 @@ class ModelGroup:
     def _ready(self, who: Ints, x: Ints, robot: Ints) -> tuple[PersonModel, Minds, Floats]:
         """Compute what people would choose where they are and where suggestions lead, and what these do to trust."""
         said = np.flatnonzero(robot)
-        self.policy.hear(x[said], robot[said])
+        self._problem.hear(x[said], robot[said])
         with self._lock:
-            stamps, model = self.policy.stamps, self.model
+            stamps, model = self._problem.now.stamps, self.model
             pomdp, arrays = model.pomdp, model.arrays
             then = arrays.targets[x[said], np.maximum(arrays.suggested[x[said], robot[said]], 0)]
             who, x = np.concatenate([who, who[said]]), np.concatenate([x, then])
@@ -123,7 +124,7 @@ class ModelGroup:
         """Make room for the choices in a number of rows of a problem."""
         minds, slots = self._stamps.shape[0], arrays.chosen.shape[1]
         if rows > self._stamps.shape[1] or slots > self._p.shape[2]:
-            room = rows if self.policy.complete else max(2 * rows, self._stamps.shape[1])
+            room = rows if self._problem.complete else max(2 * rows, self._stamps.shape[1])
             self._stamps = _larger(self._stamps, (minds, room), -1)
             self._p = _larger(self._p, (minds, room, slots), 0.0)
             if self._of_people:
@@ -134,13 +135,13 @@ class ModelGroup:
     def _work_out(self, minds: Ints, rows: Ints, pomdp: AssistPOMDP) -> None:
         """Compute what some people would choose in some rows."""
         at = np.ix_(minds, rows)
-        self._stamps[at] = self.policy.stamps[rows]
+        self._stamps[at] = self._problem.now.stamps[rows]
         slots = slice(pomdp.chosen.shape[1])
         if not self._of_people:
             self._p[:, rows, slots] = np.moveaxis(pomdp.chosen[rows], 2, 0)
             return
         choices = pomdp.model.choices
-        each = (choices if self.policy.complete else choices.around(rows)).of_each_goal
+        each = (choices if self._problem.complete else choices.around(rows)).of_each_goal
         for mind in minds.tolist():
             person, goal = divmod(mind, self._goals)
             p, v, q = _mind(self._people[person], each[goal])

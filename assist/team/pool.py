@@ -112,7 +112,7 @@ class Pool(Result):
         """Whether both have the same people and problems, solved or not."""
         if not isinstance(other, Pool):
             return False
-        problems, others = ([each.at_first for each in one.policies] for one in (self, other))
+        problems, others = ([each.problem.first for each in one.policies] for one in (self, other))
         known, given = ((one.setting, one.people, one.model) for one in (self, other))
         return same(known, given) and same(problems, others)
 

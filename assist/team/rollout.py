@@ -117,7 +117,7 @@ class ModelPeople:
 
     def act(self, rows: Ints, people: PeopleArrays) -> None:
         """Let some people act once."""
-        self._policy.hear(people.x[rows], people.robot[rows])
+        self._policy.problem.hear(people.x[rows], people.robot[rows])
         model, minds = self._so_far()
         act(rows, people, minds, model.arrays)
 

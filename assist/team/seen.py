@@ -77,8 +77,8 @@ def let_see(
 
 def gained(policy: Policy, before: Ints, after: Ints) -> Floats:
     """Return what came of steps from some rows to others, both of shape (m,), in cost units, as neighbours see it."""
-    if not policy.complete:  # rows to which a choice has just led may have no choices yet
-        before, after = (policy.rows(policy.places(x)) for x in (before, after))
+    # Rows to which a choice has just led may have no choices yet.
+    before, after = (policy.rows(policy.places(x)) for x in (before, after))
     model = policy.pomdp.model
     was, now = seen_value(model, before), seen_value(model, after)
     return np.subtract(now, was, out=np.zeros(len(was)), where=now != was)

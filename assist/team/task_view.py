@@ -44,7 +44,7 @@ class TaskView:
             for number, flat in by_model(model.reshape(-1), np.arange(model.size), len(pool.policies)):
                 own = people.reshape(-1)[flat], goal.reshape(-1)[flat]
                 self.who.reshape(-1)[flat] = groups[number].mind(*own)
-        self._growing = np.array([not policy.complete for policy in pool.policies])[model].reshape(-1)
+        self._growing = np.array([not policy.problem.complete for policy in pool.policies])[model].reshape(-1)
 
     def rows(self, places: Ints, active: Ints) -> Ints:
         """Return the row of each person, shape (N, K); of people who are not active, any row.

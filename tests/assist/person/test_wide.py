@@ -129,7 +129,7 @@ def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny
     options: dict[str, Any] = {"humans": 2, "episodes": 1, "world": "people"}
     for seed in range(4):
         assert_same(*(simulate(pool, policy, seed=seed, **options) for pool in (whole, part)), 1)
-        assert len(only.growing.now.pomdp.robot_actions) < len(tiny)
+        assert len(only.problem.now.pomdp.robot_actions) < len(tiny)
 
 
 def test_suggestions_after_which_choices_were_forgotten_are_heard_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +151,7 @@ def test_states_that_are_possible_keep_their_rows(monkeypatch: pytest.MonkeyPatc
     )
     for seed in range(4):
         assert_same(*(simulate(pool, "attention", humans=1, episodes=1, seed=seed) for pool in (whole, part)), 1)
-    (stamps,) = (policy.stamps for policy in part.policies)
+    (stamps,) = (policy.problem.now.stamps for policy in part.policies)
     assert stamps.max() > len(stamps)  # rows were used again
 
 
@@ -170,12 +170,12 @@ def test_whoever_holds_rows_keeps_them(tiny: Table, monkeypatch: Any) -> None:
         for own, held in zip(states, rows, strict=True):
             assert part.places(held).tolist() == own.tolist()
             np.testing.assert_array_equal(part.pomdp.model.choices.h[held], tiny.h[own])
-    stamps = [part.stamps[held].tolist() for held in rows]
+    stamps = [part.problem.now.stamps[held].tolist() for held in rows]
     del holders[1]
     for state in range(len(tiny)):
         part.rows(np.array([state]))
-    assert part.stamps[rows[0]].tolist() == stamps[0]
-    assert part.stamps[rows[1]].tolist() != stamps[1]
+    assert part.problem.now.stamps[rows[0]].tolist() == stamps[0]
+    assert part.problem.now.stamps[rows[1]].tolist() != stamps[1]
 
 
 def test_threads_do_not_evict_each_others_rows(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,113 @@
+"""The rows of one person's problem: all of them from the start, or those of the places where people have been.
+
+A policy asks its problem for the rows of places (`person.rows`) and reads the problem on all rows so far. In a
+`WholeProblem` all rows were added at the start. In a `GrowingProblem` a place gets its row when somebody comes there.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .pomdp import AssistPOMDP
+from .problem_arrays import ProblemArrays, read_only
+
+Ints = NDArray[np.int64]
+
+
+class Snapshot(NamedTuple):
+    """The problem on all rows so far. What becomes known of robot actions later appears in its arrays.
+
+    Attributes
+    ----------
+    pomdp : AssistPOMDP
+    arrays : ProblemArrays
+        The problem in the form that compiled code reads.
+    stamps : int array, shape (n,)
+        A number for each row that is another one when the row has another place.
+    """
+
+    pomdp: AssistPOMDP
+    arrays: ProblemArrays
+    stamps: Ints
+
+
+class ProblemRows(Protocol):
+    """One person's problem on rows. Methods take N places or rows at a time.
+
+    Attributes
+    ----------
+    complete : bool
+        Whether all places have rows, of which everything is known.
+    first : AssistPOMDP
+        The problem before anybody has come to another place than the initial one; the whole problem if complete.
+    """
+
+    complete: bool
+    first: AssistPOMDP
+
+    @property
+    def now(self) -> Snapshot:
+        """The problem on all rows so far."""
+        ...
+
+    def rows(self, places: Ints, holder: object = None) -> Ints:
+        """Return the row of each place where people are, shape (N,), and compute what is not known of it yet.
+
+        Parameters
+        ----------
+        places : int array, shape (N,)
+            Places as in `person.rows`: states of the task or, with terms, pairs of a state and a memory.
+        holder : object, optional
+            What keeps these numbers until it asks for others, or no longer exists. Rows without a holder may be evicted
+            when other rows are asked for.
+        """
+        ...
+
+    def hold(self, holder: object, rows: Ints) -> None:
+        """Let a holder hold these rows, shape (N,), in the place of those that it held before."""
+
+    def places(self, rows: Ints) -> Ints:
+        """Return the place of each row, shape (N,)."""
+        ...
+
+    def hear(self, x: Ints, robot: Ints) -> None:
+        """Compute what robot actions do to trust in some rows, both of shape (N,), where it is not known yet."""
+
+
+class WholeProblem(ProblemRows):
+    """One person's problem on a whole task: all rows were added at the start, and a row is its place.
+
+    Parameters
+    ----------
+    pomdp : AssistPOMDP
+    """
+
+    complete = True
+
+    def __init__(self, pomdp: AssistPOMDP) -> None:
+        self.first = pomdp
+
+    @cached_property
+    def now(self) -> Snapshot:
+        """The problem."""
+        every = np.zeros(len(self.first.robot_actions), dtype=np.int64)
+        return Snapshot(self.first, ProblemArrays.of(self.first), read_only(every))
+
+    def rows(self, places: Ints, holder: object = None) -> Ints:
+        """Return the places."""
+        del holder
+        return places
+
+    def hold(self, holder: object, rows: Ints) -> None:
+        """Do nothing: no row is evicted."""
+
+    def places(self, rows: Ints) -> Ints:
+        """Return the rows."""
+        return rows
+
+    def hear(self, x: Ints, robot: Ints) -> None:
+        """Do nothing: all is known."""
