@@ -41,7 +41,7 @@ ROOMS = {
         action_values krylov sparse_iteration policy_iteration qmdp solution_cache alpha_vectors
         upper_hull convex_bound hsvi search memory_needed further_beliefs solver time_expansion
         subproblem_frontier attention_subproblem truncated_task state_cache closed_problem
-        growing_problem leaf_estimates backups compliance_relaxation truncated_bound truncated_policy
+        growing_problem backups leaf_estimates compliance_relaxation truncated_bound truncated_policy
         person_problem""",
     "assist.team": """policy_names by_policy state action_check assignment seen attention attention_never outlook
         questions robots_at_work engine priority whittle rollout policies affordable union pool schedule

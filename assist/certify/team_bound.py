@@ -128,11 +128,6 @@ class TeamBound(Result):
 
         It is better than priority at a single price where many people wait for the robot. Without prices it is that
         policy, at a price of 0 if each of several people has a robot.
-
-        Raises
-        ------
-        ValueError
-            There are prices, and the task is truncated.
         """
         without = 0.0 if 1 < len(self.team) <= len(self.pool.setting.robots) else None
         return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else without)

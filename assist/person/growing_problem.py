@@ -13,6 +13,7 @@ have been asked for, a new row gets its own from the same problem.
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -46,6 +47,9 @@ and so on, are known if it is `heard`.
 """
 
 TRUST = ("low", "weight", "followed_low", "followed_weight")
+
+MOST_TABLES = 8
+"""Number of tables of Q-values that are kept, as prices of attention may differ at each step."""
 
 Backup = Callable[[AssistPOMDP, TruncatedTask, int], tuple[Floats, Ints]]
 """Returns Q-values in the first rows of a problem of one step, shape (count, P, R, H, T), and the number of robot
@@ -88,7 +92,7 @@ class GrowingProblem(ProblemRows):
         self._around, self._problem, self._most, self._ahead = around, problem, most, ahead
         self._limit = most
         self._rows = Rows(OF_PLACES | OF_CHOICES)
-        self._tables = set[str]()
+        self._tables = OrderedDict[str, None]()  # the last used last
         self._lock = threading.RLock()
         self._step = self._learn(np.array([initial]))
         self.first = self._step.pomdp
@@ -172,8 +176,12 @@ class GrowingProblem(ProblemRows):
         with self._lock:
             q, count = f"q {name}", f"count {name}"
             if name not in self._tables:
-                self._tables.add(name)
+                self._tables[name] = None
                 self._rows.declare({q: -np.inf, count: 0})
+                if len(self._tables) > MOST_TABLES:
+                    last, _ = self._tables.popitem(last=False)
+                    self._rows.forget([f"q {last}", f"count {last}"])
+            self._tables.move_to_end(name)
             silent = np.unique(x if count not in self._rows else x[self._rows[count][x, 0] == 0])
             if len(silent):
                 step = self._step

@@ -18,6 +18,7 @@ from planner.system.progress import Progress
 
 from ..people.decision import Floats
 from ..people.goals import first_of
+from .backups import bellman_backup
 from .pomdp import AssistPOMDP
 from .qmdp import initial_upper_bounds, value_iteration
 from .truncated_task import TruncatedTask, never_erring
@@ -83,35 +84,45 @@ class LeafEstimates:
             Estimates of a problem with similar values, at which the iteration starts. They have as many positions, or
             one.
         tolerance : float
-            Largest error of a value for given frontier values, in cost units; by default 0.3, or 1e-3 without a
-            frontier. A tenth of 0.3 changed returns on a task of seven million states by less than 0.05 and took almost
-            twice the time. Errors of probable states are much smaller: in the last sweep no value changes by more than
-            (1 - gamma) times the tolerance.
+            Largest error of a value for given frontier values, in cost units; by default 0.3, or 1e-6 without a
+            frontier, as for a whole task. A tenth of 0.3 changed returns on a task of seven million states by less than
+            0.05 and took almost twice the time. Errors of probable states are much smaller: in the last sweep no value
+            changes by more than (1 - gamma) times the tolerance.
         progress : callable, optional
             Receives progress reports, as in `qmdp`.
         """
         choices, costs = region.choices, first_of(region.known).task.action_costs
         rows = np.arange(len(choices))[None] if rows is None else rows
-        inside = np.ones(len(choices), dtype=bool)
-        inside[region.frontier] = False
-        order = np.flatnonzero(inside)[np.argsort(region.states[inside])]
-        level, place = np.unique(choices.h[order], return_inverse=True)
+        order = region.inside
         value = initial_upper_bounds(problem)
         rounds = (4 if like is None else 2) if len(region.frontier) else 1
-        tolerance = tolerance or (0.3 if len(region.frontier) else 1e-3)
+        tolerance = tolerance or (0.3 if len(region.frontier) else 1e-6)
         if like is not None and rounds > 1:  # without a frontier the values are bounds, and start as such
             begins = np.flatnonzero(np.isfinite(choices.h) & ~choices.goal)
             value[rows[:, begins].T] = like.at(region.states[begins], choices.h[begins])
         for round_ in range(1, rounds + 1):
             value_iteration(problem, value, tolerance=tolerance * 10.0 ** (rounds - round_), progress=progress)
-            found = value[rows[:, order].T]
-            mean = np.zeros((len(level), *found.shape[1:]))
-            np.add.at(mean, place, found)
-            mean /= np.bincount(place, minlength=len(level))[:, None, None, None]
-            estimates = cls(region.states[order], found, level, mean, costs, problem.gamma)
+            estimates = cls._of_values(region, value[rows[:, order].T], costs, problem.gamma)
             if round_ < rounds:
                 value[rows[:, region.frontier].T] = estimates.beyond(choices.h[region.frontier])
         return estimates
+
+    @classmethod
+    def _of_values(cls, region: TruncatedTask, value: Floats, costs: Floats, gamma: float) -> LeafEstimates:
+        """Return the estimates for values of the states inside a truncated task, shape (m, P, H, T)."""
+        level, place = np.unique(region.choices.h[region.inside], return_inverse=True)
+        mean = np.zeros((len(level), *value.shape[1:]))
+        np.add.at(mean, place, value)
+        mean /= np.bincount(place, minlength=len(level))[:, None, None, None]
+        return cls(region.states[region.inside], value, level, mean, costs, gamma)
+
+    def a_step_before(self, problem: AssistPOMDP, region: TruncatedTask, rows: NDArray[np.int64]) -> LeafEstimates:
+        """Return the values one step before these, by one Bellman backup; arguments as in `of`."""
+        value = initial_upper_bounds(problem)
+        value[rows[:, region.inside].T] = self.value
+        value[rows[:, region.frontier].T] = self.beyond(region.choices.h[region.frontier])
+        found = bellman_backup(problem, value)[rows[:, region.inside].T]
+        return self._of_values(region, found, self.costs, self.gamma)
 
     def at(self, states: NDArray[np.int64], h: Floats) -> Floats:
         """Return the values of states, shape (N, P, H, T).

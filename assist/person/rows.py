@@ -63,6 +63,12 @@ class Rows:
         """Add arrays, given by their blank entries as in `Rows`."""
         self._blanks |= blanks
 
+    def forget(self, names: Iterable[str]) -> None:
+        """Take the arrays of these names."""
+        for name in names:
+            self._blanks.pop(name)
+            self._arrays.pop(name, None)
+
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return a view of an array, shape (n, ...)."""
         return self._arrays[name][: self._size]

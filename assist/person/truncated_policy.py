@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo
+from planner.system.limits import available_memory
 from planner.system.progress import reporting
 
 from ..people.belief import Grid
@@ -34,8 +35,9 @@ from ..people.hidden_type import HiddenType, OfGoals
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
 from .closed_problem import closed_problem
-from .growing_problem import GrowingProblem
+from .growing_problem import Backup, GrowingProblem
 from .leaf_estimates import LeafEstimates
+from .memory_needed import require_room
 from .policy import OfRows, Policy
 from .policy_iteration import SOLVING
 from .pomdp import AssistPOMDP
@@ -109,9 +111,7 @@ class SolvedRegion:
     @classmethod
     def of(cls, region: TruncatedTask, policy: Policy) -> SolvedRegion:
         """Return the states of a truncated task with the policy for its problem."""
-        inside = np.setdiff1d(np.arange(len(region.states)), region.frontier)
-        row = inside[np.argsort(region.states[inside])]
-        return cls(region.states[row], row, policy)
+        return cls(region.states[region.inside], region.inside, policy)
 
     def find(self, states: Ints) -> Ints:
         """Return the row of each state, shape (N,); -1 for others."""
@@ -131,7 +131,7 @@ class TruncatedPolicy(Policy):
     like : TruncatedPolicy or None
         Policy of another person, whose values are the start of value iteration; this saves time for many people.
     solver : callable or None
-        Solves the problem on the truncated task, if not by QMDP; its policy acts there. For one goal.
+        Solves the problem on the truncated task, if not by QMDP; its policy acts there.
     solved : dict
         Cached estimates for each goal, by the parameters of the subproblem with a price of attention. The key is () for
         a robot that is always present, and `NEVER` for one that does not help.
@@ -196,14 +196,15 @@ class TruncatedPolicy(Policy):
     @cached_property
     def regions(self) -> tuple[TruncatedTask, ...]:
         """The truncated task of the states that the person is most likely to visit, for each goal."""
-        ground = self.ground
-        most: dict[str, Any] = {
-            "states": ground.size,
-            "population": self.assumed.population,
-            "human": self.assumed.human,
-        }
-        among = ground.known if isinstance(ground.known, Goals) else None
-        return tuple(TruncatedTask.of(known, among=among, **most) for known in each_of(ground.known))
+        known = self.ground.known
+        among = known if isinstance(known, Goals) else None
+        return tuple(self._region(one, among) for one in each_of(known))
+
+    def _region(self, known: CostToGo | Goals, among: Goals | None = None) -> TruncatedTask:
+        assumed = self.assumed
+        return TruncatedTask.of(
+            known, states=self.ground.size, population=assumed.population, human=assumed.human, among=among
+        )
 
     def on(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
@@ -261,17 +262,29 @@ class TruncatedPolicy(Policy):
         self._visited(robot)
         return VisitedRows(self, robot)
 
-    def _visited(self, robot: VisitingRobot) -> tuple[LeafEstimates, ...]:
-        """Return each goal's value estimates for a robot that comes and goes, for each position; solved once."""
-        if (key := _key(robot)) not in self.solved:
-            each = self.prepare() if self.like is None else self.like._visited(robot)
+    def _visited(self, robot: VisitingRobot, step: int = 0) -> tuple[LeafEstimates, ...]:
+        """Return each goal's value estimates for a robot that comes and goes, from a step on, for each position.
+
+        They are solved once: first for the last price, which applies to all later steps, then one step before another.
+        """
+        last = len(robot.price) - 1
+        for now in range(last, min(step, last) - 1, -1):
+            if (key := _key(robot, now)) in self.solved:
+                continue
             found = []
-            for region, like in zip(self.regions, each, strict=True):
+            for goal, region in enumerate(self.regions):
                 visits = _visits(self.on(region), robot)
                 rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
-                found.append(LeafEstimates.of(visits.at_price(key[-1]), region, rows, like=like))
+                problem = visits.at_price(float(robot.price[now]))
+                if now < last:
+                    after = self.solved[_key(robot, now + 1)][goal]
+                    _require_room(after, last)
+                    found.append(after.a_step_before(problem, region, rows))
+                else:
+                    each = self.prepare() if self.like is None else self.like._visited(robot, last)
+                    found.append(LeafEstimates.of(problem, region, rows, like=each[goal]))
             self.solved[key] = tuple(found)
-        return self.solved[key]
+        return self.solved[_key(robot, min(step, last))]
 
     @property
     def helped(self) -> OfRows:
@@ -309,9 +322,9 @@ class TruncatedPolicy(Policy):
 
     @cached_property
     def _own(self) -> SolvedRegion:
-        """The policy of the solver on the truncated task of the only goal."""
+        """The policy of the solver on a truncated task, with all goals."""
         assert self.solver is not None
-        (region,) = self.regions
+        (region,) = self.regions if len(self.regions) == 1 else (self._region(self.ground.known),)
         return SolvedRegion.of(region, self.solver(closed_problem(region, self.assumed)))
 
     def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
@@ -328,26 +341,25 @@ class VisitedRows:
     robot: VisitingRobot
 
     def q_values(self, step: int, position: int, x: Ints, belief: Floats) -> Floats:
-        """Return the Q-values of the robot's moves, shape (N, R + 1), at any step; arguments as in `Visited`."""
-        del step
-        return self.policy.problem.q_values(self._name, self._backup, position, x, belief)
+        """Return the Q-values of the robot's moves, shape (N, R + 1); arguments as in `SolvedSubproblem.q_values`."""
+        return self.policy.problem.q_values(*self._table(step), position, x, belief)
 
     def advantage(self, before: Ints, now: Ints, x: Ints, move: Ints, h: Ints, t: Ints) -> Floats:
         """Return Q-values minus values, shape (N,); arguments as in `SolvedSubproblem.advantage`."""
-        table, _ = self.policy.problem.values(self._name, self._backup, x)
+        table, _ = self.policy.problem.values(*self._table(0), x)
         return np.asarray(table[x, now, move, h, t] - table[x, before, :, h, t].max(axis=1))
 
-    @property
-    def _name(self) -> str:
-        return " ".join(map(repr, _key(self.robot)))
+    def _table(self, step: int) -> tuple[str, Backup]:
+        """Return the name of the Q-values at a step, and how they are computed."""
+        return " ".join(map(repr, _key(self.robot, step))), partial(self._backup, step)
 
-    def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
+    def _backup(self, step: int, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
         visits = _visits(pomdp, self.robot)
         layout = visits.layout
-        each = _values(self.policy._visited(self.robot), region.states, region.choices.goals, pomdp.hidden)
+        each = _values(self.policy._visited(self.robot, step + 1), region.states, region.choices.goals, pomdp.hidden)
         value = each[layout.x, layout.position]
         here = layout.number(0, np.arange(layout.positions), np.arange(count)[:, None])
-        return _look_ahead(visits.at_price(_key(self.robot)[-1]), value, here)
+        return _look_ahead(visits.at_price(float(self.robot.price[step])), value, here)
 
 
 def _values(each: tuple[LeafEstimates, ...], states: Ints, goals: OfGoals, hidden: HiddenType) -> Floats:
@@ -362,9 +374,16 @@ def _look_ahead(pomdp: AssistPOMDP, value: Floats, states: Ints) -> tuple[Floats
     return found.q_mdp[states], pomdp.robot_actions[states]
 
 
-def _key(robot: VisitingRobot) -> tuple[float, ...]:
-    """Return the parameters of the problem with a robot that comes and goes; the last is its only price."""
-    return robot.entry, robot.entry_steps, robot.longest, float(robot.price[0])
+def _key(robot: VisitingRobot, step: int) -> tuple[float, ...]:
+    """Return the parameters of the problem with a robot that comes and goes; the prices from a step on are last."""
+    return robot.entry, robot.entry_steps, robot.longest, *robot.price[step:].tolist()
+
+
+def _require_room(values: LeafEstimates, steps: int) -> None:
+    """Raise a `LimitError` if values for each step exceed the available memory."""
+    if (needed := steps * values.value.nbytes) > 100e6:  # below this, the available memory is not queried
+        expected = "prices on fewer steps, or fewer states (region)"
+        require_room(f"values at {steps:,} prices take", needed, available_memory() / 1e6, expected)
 
 
 def _visits(pomdp: AssistPOMDP, robot: VisitingRobot) -> AttentionSubproblem:

@@ -135,6 +135,12 @@ class TruncatedTask:
         choices = joined(known, each)
         return cls(known, choices, states, cut[~choices.goal[cut]])
 
+    @property
+    def inside(self) -> NDArray[np.int64]:
+        """The rows of the states that are not on the frontier, in the ascending order of states."""
+        inside = np.setdiff1d(np.arange(len(self.states)), self.frontier)
+        return inside[np.argsort(self.states[inside])]
+
     def local(self, states: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the rows, shape (N,), of states that are numbered as in `known`; -1 outside the truncated task."""
         order = np.argsort(self.states)

@@ -331,7 +331,7 @@ class Pool(Result):
         if isinstance(table, Goals) and terms:
             raise ValueError("people with weights of terms: expected one goal")
         own = solver if solver != qmdp else None
-        needed = {"weights": terms, "execute": setting.fleet.executes, "solver": own and isinstance(table, Goals)}
+        needed = {"weights": terms, "execute": setting.fleet.executes}
         people: Sequence[Human]
         choices: Choices | None = None
         asks = isinstance(table, Goals) and setting.c_ask is not None  # worth of answers: exact where it is affordable

@@ -174,26 +174,17 @@ class Priority:
         price : float or float array, shape (W,), optional
             Price of a step of attention, in cost units. A number applies to every step; by default it is 0.15 times the
             cost of the cheapest action. Values from 0.1 to 0.2 times that cost were about equally good for teams of 2
-            to 100 people. An array holds prices of the steps from 0 on, followed by 0. It needs enumerated tasks, and
-            people who all begin at step 0. The policy then knows the states that are reachable by each step, and
-            refuses a person in another state.
+            to 100 people. An array holds prices of the steps from 0 on, followed by 0. On an enumerated task the policy
+            then knows the states that are reachable by each step, and refuses a person in another state: people all
+            begin at step 0.
         solver : callable
             Solves people's problems.
-
-        Raises
-        ------
-        ValueError
-            Prices of several steps are given for truncated tasks.
         """
         if price is None:
             price = 0.15 * min(policy.cheapest for policy in policies)
         (entry, mean_steps), longest = travel.mean_way, travel.longest_way
         steps = round(mean_steps)
         each = np.asarray(price, dtype=float)
-        for policy in policies if each.ndim else ():
-            policy.require_enumerated(
-                f"prices of {each.size} steps", "these need all states that are reachable by a step"
-            )
 
         def presence(policy: Policy) -> SolvedSubproblem:
             free = AttentionSubproblem.of(policy.pomdp, entry, steps, longest=longest)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, Truncat
 from assist.person.assumptions import Assumptions
 from assist.person.closed_problem import closed_problem
 from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
-from assist.person.qmdp import evaluate, qmdp
+from assist.person.qmdp import QMDP, evaluate, qmdp
 from assist.person.solver import solve
 from assist.person.truncated_policy import TruncatedPolicy, default_size
 from assist.team import Pool, simulate
@@ -77,7 +78,29 @@ def test_values_with_all_states_are_those_of_the_whole_task(knowledge: Any, sugg
     belief = rng.dirichlet(np.ones(whole.pomdp.prior.size), len(x)).reshape(-1, *whole.pomdp.prior.shape)
     expected, found = (policy.q_values(policy.rows(x), belief) for policy in (whole, part))
     assert np.isfinite(expected[:, : found.shape[1]]).sum() == np.isfinite(expected).sum()
-    np.testing.assert_allclose(found, expected[:, : found.shape[1]], atol=1e-4)
+    np.testing.assert_allclose(found, expected[:, : found.shape[1]], rtol=0, atol=1e-9)
+
+
+def test_a_solver_of_ones_own_acts_for_people_with_several_goals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On all states its policy is that on the whole task; a user's solver sees the problem with all goals."""
+    seen = list[AssistPOMDP]()
+
+    def by_halves(pomdp: AssistPOMDP) -> QMDP:
+        seen.append(pomdp)
+        solved = qmdp(pomdp)
+        return QMDP(pomdp, solved.value_mdp / 2, solved.q_mdp / 2)  # no other policy gives these
+
+    goals, rng = TASKS["tiny"], np.random.default_rng(4)
+    sample = partial(Pool.sample, goals, 2, seed=1, setting=Setting(c_suggest=0.05), solver=by_halves)
+    whole = sample().policies[0]
+    monkeypatch.setattr("assist.team.pool.MAX_ENUMERATED", 1)
+    part = sample(region=EVERYTHING).policies[0]
+    x = np.arange(len(goals.tables["a"]))
+    belief = rng.dirichlet(np.ones(whole.pomdp.prior.size), len(x)).reshape(-1, *whole.pomdp.prior.shape)
+    expected, found = (policy.q_values(policy.rows(x), belief) for policy in (whole, part))
+    np.testing.assert_allclose(found, expected[:, : found.shape[1]], rtol=0, atol=1e-9)
+    assert [len(pomdp.hidden.goals) for pomdp in seen] == [3, 3]
+    assert simulate(sample(region=5), "attention", **OPTIONS).finished.any()
 
 
 @pytest.mark.slow

@@ -29,6 +29,7 @@ from assist.person.solver import solve
 from assist.person.truncated_task import never_erring
 from assist.team.episodes import Episodes
 from assist.team.pool import Pool
+from assist.team.priority import Priority
 from assist.team.schedule import Schedule
 from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamState
@@ -115,6 +116,35 @@ def test_the_next_step_is_the_same_by_either_policy(tiny: Table) -> None:
         np.testing.assert_allclose(policy.q_values(rows, belief), whole.q_values(states, belief), atol=0.01)
         np.testing.assert_array_equal(policy.places(rows), states)
     assert rows.tolist() == part.rows(states).tolist() != states.tolist()
+
+
+@pytest.mark.parametrize("travel_time", [0, 2])
+@pytest.mark.parametrize(("task", "error"), [("tiny", 1e-9), ("sealed", 1e-6)])  # the larger one is solved to 1e-6
+def test_prices_of_steps_on_rows_are_those_on_the_whole_task(task: str, error: float, travel_time: int) -> None:
+    """At each step, for each position of the robot, in all states that are reachable by then."""
+    table = table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
+    setting, price = Setting(c_suggest=0.1, travel_time=travel_time), np.array([0.4, 0.0, 0.7, 0.2])
+    whole, part = (
+        Pool.sample(table, 1, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(table), 0)
+    )
+    priced = Priority.of([*whole.policies, *part.policies], setting.travel(2), price)
+    (one,), (other,) = whole.policies, part.policies
+    exact, found = one.with_robot(priced), other.with_robot(priced)
+    compared = 0
+    for step, layer in enumerate(exact.visits.layout.layers):
+        belief = np.repeat(one.pomdp.prior[None], len(layer), axis=0)
+        for position in range(2 + priced.longest):
+            expected = exact.q_values(step, position, layer, belief)
+            q = found.q_values(step, position, other.rows(layer), belief)
+            q = np.pad(q, ((0, 0), (0, expected.shape[1] - q.shape[1])), constant_values=-np.inf)
+            np.testing.assert_allclose(q, expected, rtol=0, atol=error)
+            compared += len(layer)
+    assert compared > 5 * 2 * 3
+    runs = [
+        simulate(pool, Priority.of(pool.policies, setting.travel(2), price), humans=[0, 0], episodes=8, seed=2)
+        for pool in (whole, part)
+    ]
+    assert_same(*runs)
 
 
 @pytest.mark.parametrize("policy", ["none", "reactive", "attention", "priority"])

@@ -219,7 +219,7 @@ def test_priority_goes_by_the_prices_of_the_steps_to_come(pool: Pool) -> None:
     assert equal(one, each)
 
 
-def test_prices_of_steps_are_for_whole_tasks_and_people_who_begin_together(pool: Pool, tiny: Table) -> None:
+def test_prices_of_steps_are_for_people_who_begin_together(pool: Pool) -> None:
     table, travel = pool.choices(0), pool.setting.travel(3)
     nearly = int(np.flatnonzero((table.h > 0) & (table.h <= table.h[table.h > 0].min()))[0])
     with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
@@ -229,6 +229,3 @@ def test_prices_of_steps_are_for_whole_tasks_and_people_who_begin_together(pool:
     late = Schedule.of(3, joins=[0, 0, 1])
     with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
         simulate(pool, policy, humans=3, episodes=4, seed=0, presence=late)
-    part = Pool.sample(tiny, 3, seed=0, states=1)
-    with pytest.raises(ValueError, match="prices of 4 steps: expected an enumerated task"):
-        Priority.of(part.policies, travel, np.full(4, 0.2))
