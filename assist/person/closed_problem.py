@@ -36,11 +36,20 @@ def closed_problem(region: TruncatedTask, assumed: Assumptions | None = None) ->
     """
     assumed = assumed or Assumptions()
     check_costs(assumed.gamma)
+    require_no_execution(assumed)
     if assumed.human is None and assumed.chooses is boltzmann:
         beyond = region.bounds(assumed)
     else:
         beyond = region.bounds_of_anybody(assumed)
     return assumed.problem(region.choices, replace(beyond, value=value_beyond(region, assumed)))
+
+
+def require_no_execution(assumed: Assumptions) -> None:
+    """Raise a `ValueError` if the robot executes actions, for which no bounds on a truncated task are proven."""
+    if assumed.robot.execute:
+        raise ValueError(
+            "execute: expected an enumerated task for bounds, as those of a truncated one count people's actions alone"
+        )
 
 
 def value_beyond(region: TruncatedTask, assumed: Assumptions) -> Floats | None:

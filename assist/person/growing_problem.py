@@ -4,6 +4,7 @@ A `GrowingProblem` computes what is known of a place when it is asked for its ro
 probabilities and the robot's actions. Two things take more, and are computed when they are first used:
 
 - What a suggestion does to trust depends on the value of its successor, so that one more state has to be looked up.
+  So it is with an action that the robot executes, after which the person acts in another state.
 - The Q-values of the robot's actions are one exact Bellman backup of estimated values of the successors.
 
 All of it follows from a problem of one step, the truncated task that ends after it (`StateCache.around`). Once Q-values
@@ -149,8 +150,8 @@ class GrowingProblem(ProblemRows):
         with self._lock:
             silent = np.flatnonzero(~self._rows["heard"][x, robot])
             if len(silent):
-                x, slot = x[silent], self._rows["suggested"][x[silent], robot[silent]]
-                then = self._rows.place_of[self._rows["targets"][x, slot]]
+                x = x[silent]
+                then = self._rows.place_of[self._then(x)[np.arange(len(x)), robot[silent]]]
                 self._learn(np.unique(self._rows.place_of[x]), then=then)
 
     def q_values(self, name: str, backup: Backup, position: int, x: Ints, belief: Floats) -> Floats:
@@ -199,10 +200,17 @@ class GrowingProblem(ProblemRows):
         tables = [f"{what} {name}" for name in self._tables for what in ("q", "count")]
         forgotten = np.setdiff1d(successors, held)
         self._rows.clear([*OF_CHOICES, *tables], forgotten)
-        # What a suggestion does to trust is to be heard again where the choices after it are forgotten.
-        suggested = self._rows["suggested"][held]
-        then = np.take_along_axis(self._rows["targets"][held], np.maximum(suggested, 0), axis=1)
-        self._rows["heard"][held] &= (suggested == NOTHING) | ~np.isin(then, forgotten)
+        # What a robot action does is to be heard again where the choices after it are forgotten.
+        self._rows["heard"][held] &= ~np.isin(self._then(held), forgotten)
+
+    def _then(self, rows: Ints) -> Ints:
+        """Return the row whose choices decide what each robot action does, shape (N, R); the row itself for nothing.
+
+        It is the target of a suggestion, as the trust update looks at it, and where the person acts after an execution.
+        """
+        suggested = self._rows["suggested"][rows]
+        then = np.take_along_axis(self._rows["targets"][rows], np.maximum(suggested, 0), axis=1)
+        return np.where(suggested == NOTHING, self._rows["afterstate"][rows], then)
 
     def _learn(self, places: Ints, then: Ints = NONE) -> _Step:
         """Compute what is known of different places, and return their problem of one step.
@@ -233,24 +241,29 @@ class GrowingProblem(ProblemRows):
             fresh &= ~rows["known"][row]
         at = np.flatnonzero(fresh)
         at = at[np.unique(row[at], return_index=True)[1]]  # a place may be both one of those and a successor
-        own = row[at]
+        own, executed = row[at], pomdp.executed(at)
+        afterstate = np.take_along_axis(row[choices.targets[at]], np.maximum(executed, 0), axis=1)
+        afterstate = np.where(executed == NOTHING, own[:, None], afterstate)
         columns = {
             "applicable": choices.applicable, "actions": choices.actions, "targets": row[choices.targets],
             "costs": choices.costs, "best": choices.optimal, "optimal": choices.goals.optimal, "q": pomdp.model.q,
-            "robot_actions": pomdp.robot_actions, "suggested": pomdp.suggested, "afterstate": row[pomdp.afterstate],
+            "robot_actions": pomdp.robot_actions, "suggested": pomdp.suggested,
             "robot_costs": pomdp.robot_costs, "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested,
-            "heard": pomdp.suggested == NOTHING, "low": pomdp.low, "weight": pomdp.weight,
+            "low": pomdp.low, "weight": pomdp.weight,
             "followed_low": pomdp.followed_low, "followed_weight": pomdp.followed_weight,
         }  # fmt: skip
         for name, values in columns.items():
             if values is not None:
                 rows.put(name, own, values[at])
+        rows.put("afterstate", own, afterstate)
+        rows.put("heard", own, (pomdp.suggested[at] == NOTHING) & (executed == NOTHING))
         rows.put("known", own, np.ones(len(own), dtype=bool))
 
     def _put_trust(self, pomdp: AssistPOMDP, row: Ints, inside: Any) -> None:
-        """Store the effects on trust of those suggestions whose successors are no leaves."""
-        targets = np.take_along_axis(pomdp.model.choices.targets, np.maximum(pomdp.suggested, 0), axis=1)
-        at, robot = np.nonzero((pomdp.suggested != NOTHING) & inside[targets] & inside[:, None])
+        """Store the effects on trust of those robot actions whose successors are no leaves."""
+        slot = np.maximum(pomdp.suggested, pomdp.executed(np.arange(len(row))))
+        targets = np.take_along_axis(pomdp.model.choices.targets, np.maximum(slot, 0), axis=1)
+        at, robot = np.nonzero((slot != NOTHING) & inside[targets] & inside[:, None])
         new = ~self._rows["heard"][row[at], robot]
         at, robot = at[new], robot[new]
         for name in TRUST:

@@ -53,9 +53,9 @@ def is_whole(known: CostToGo | Goals, states: int | None = None) -> TypeGuard[Ta
     """Return whether a person's problem enumerates the whole task, or is restricted to a `TruncatedTask`.
 
     It enumerates the task if every cost-to-go is known and the number of states is small enough. Then the problem has
-    no frontier, and its value is that of the task. Misconceptions and executed actions may lead to any state. A task
-    whose states are solved on demand is always truncated, because its number of states is unknown. With several goals,
-    there may be ten times as many pairs of a goal and a state as there may be states.
+    no frontier, and its value is that of the task. A task whose states are solved on demand is always truncated,
+    because its number of states is unknown. With several goals, there may be ten times as many pairs of a goal and a
+    state as there may be states.
 
     Parameters
     ----------
@@ -70,8 +70,7 @@ def is_whole(known: CostToGo | Goals, states: int | None = None) -> TypeGuard[Ta
 def require_whole(needed: Mapping[str, object], states: int) -> None:
     """Raise a `ValueError` if something is asked for that a truncated task does not have.
 
-    A robot that executes actions, and people who remember what they did, may come to any state, or to any memory: what
-    is likely is not known beforehand.
+    People who remember what they did may come to any memory: what is likely is not known beforehand.
 
     Parameters
     ----------
@@ -167,7 +166,7 @@ class PersonProblem:
             return cls(known, assumed.problem(choices), choices.of_task(np.arange(choices.task_states)))
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
-        require_whole({"execute": setting.fleet.executes, "people who remember what they did": people.weights}, states)
+        require_whole({"people who remember what they did": people.weights}, states)
         of = partial(TruncatedTask.of, known, start=start, population=people, human=human, time_limit=time_limit)
         problem = closed_problem(region := of(states=states, progress=progress), assumed)
         while (states := states // 2) >= 20:

@@ -141,7 +141,8 @@ class AssistPOMDP:
         suggestions : "optimal" or "all"
             Whether only optimal actions are suggested, or every applicable action.
         frontier : LeafBounds, optional
-            Leaf bounds of a truncated problem. A truncated problem has no executions.
+            Leaf bounds of a truncated problem. In it, the execution of an action that leads to the frontier has no
+            effect.
         trust : TrustRule, optional
             How theta moves; by default equation (7) with the model's rate and unit of utility.
         types : type of HiddenType
@@ -150,18 +151,16 @@ class AssistPOMDP:
         Raises
         ------
         ValueError
-            A number is out of its range, or a robot that executes meets a frontier or people who have a memory.
+            A number is out of its range, or a robot that executes meets several goals or people who have a memory.
         """
         check_costs(gamma)
         one_of("suggestions", suggestions, get_args(Suggestions))
-        if robot.execute and frontier is not None:
-            raise ValueError("execute: expected a problem of all states, and this one is truncated")
         if robot.execute:
             model.choices.require_one_goal("execute")
         if robot.execute and model.choices.state is not None:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
-        robots = _RobotActions.of(model.choices, suggestions, robot)
+        robots = _RobotActions.of(model.choices, suggestions, robot, None if frontier is None else frontier.states)
         rule = EquationSeven(model.eta, model.utility_scale) if trust is None else trust
         grid = (grid or Grid.regular(population)).with_counts(counts_of(rule))
         goals = model.choices.goals
@@ -294,10 +293,16 @@ class AssistPOMDP:
 
     def executes(self, x: int, robot: int) -> str | None:
         """Return the action that a robot action executes, in PDDL notation; None if it executes nothing."""
-        if robot == 0 or self.suggested[x, robot] != NOTHING:
-            return None
-        suggestions = (int(self.robot_actions[x]) - 1) // 2  # executions follow the suggestions in the same order
-        return self.model.choices.name(x, int(self.suggested[x, robot - suggestions]))
+        slot = int(self.executed(np.array([x]))[0, robot])
+        return None if slot == NOTHING else self.model.choices.name(x, slot)
+
+    def executed(self, x: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the slot that each robot action executes in some states, shape (N, R); `NOTHING` for none."""
+        number, suggested = np.arange(self.suggested.shape[1]), self.suggested[x]
+        executes = (number > 0) & (number < self.robot_actions[x, None]) & (suggested == NOTHING)
+        # Executions follow the suggestions in the same order.
+        same = np.maximum(number - (self.robot_actions[x, None] - 1) // 2, 0)
+        return np.where(executes, np.take_along_axis(suggested, same, axis=1), NOTHING)
 
 
 class _RobotActions(NamedTuple):
@@ -309,7 +314,9 @@ class _RobotActions(NamedTuple):
     costs: Floats
 
     @classmethod
-    def of(cls, choices: Choices, suggestions: Suggestions, robot: OfRobots) -> _RobotActions:
+    def of(
+        cls, choices: Choices, suggestions: Suggestions, robot: OfRobots, leaves: NDArray[np.int64] | None
+    ) -> _RobotActions:
         """Number the robot actions of each state: nothing, the suggestions, and the executions if it executes."""
         nothing, suggestion, execution = robot.costs
         best = choices.optimal if choices.offered is None else choices.offered
@@ -327,7 +334,9 @@ class _RobotActions(NamedTuple):
         suggested[state, column] = slot
         costs[state, column] = suggestion
         if robot.execute:
-            afterstate[state, column + count[state]] = choices.targets[state, slot]
+            there = choices.targets[state, slot]
+            known = np.ones(len(there), dtype=bool) if leaves is None else ~np.isin(there, leaves)
+            afterstate[state, column + count[state]] = np.where(known, there, state)
             costs[state, column + count[state]] = execution
         return cls(robot_actions, suggested, afterstate, costs)
 

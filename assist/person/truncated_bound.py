@@ -20,7 +20,7 @@ Assumptions.
 2. The choice model is local. The choice probabilities of a state, and V(x) of equation 7, depend only on the choices in
    that state: their costs, their perceived costs, and the h*, goal flags and keys of their successors. A model that
    looks further may give other numbers on a truncated task, and no bound holds for it.
-3. The robot executes no action (`AssistPOMDP.of` refuses this for a problem with a frontier).
+3. The robot executes no action (`require_no_execution`).
 4. The robot knows the goal. If there are several, it may still suggest what is optimal for another one
    (`Choices.offered`), and the compliance relaxation allows all suggestions.
 
@@ -72,7 +72,7 @@ from ..people.goals import Goals
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
 from .backups import bellman_backup
-from .closed_problem import value_beyond
+from .closed_problem import require_no_execution, value_beyond
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
 from .leaf_bounds import LeafBounds
 from .memory_needed import first_bounds_bytes, require_room
@@ -248,6 +248,7 @@ def bounded(
         The computation would exceed the memory limit.
     """
     in_time = 200 * (until - time.perf_counter())  # pairs: the solver's time grows with their number
+    require_no_execution(assumed)
     person = _Person(known, assumed, until, memory_limit_mb, among)
     inner, problem, hidden = person.inner(size, kept_mb)
     left = (until - time.perf_counter()) / 2  # for the expansion of the outer task; the rest is for its values
@@ -351,11 +352,11 @@ class _Person:
         """Return upper bounds in the states of a truncated task, shape (n, B), by the compliance relaxation around it.
 
         The result is None if the relaxation does not apply: the task is no table, the misconceptions concern actions,
-        there is another choice model than equation 5, or the robot executes actions.
+        or there is another choice model than equation 5.
         """
         known, assumed, human, until = self.known, self.assumed, self.assumed.human, self.until
         by_cost = assumed.chooses is boltzmann and (human is None or mistaken_about_states(human))
-        if not (by_cost and isinstance(known, Table)) or assumed.robot.execute:
+        if not (by_cost and isinstance(known, Table)):
             return None
         left = until - time.perf_counter()
         share = 0.6  # of the time left; the rest is for the values with observed theta

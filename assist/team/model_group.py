@@ -106,13 +106,14 @@ class ModelGroup:
             TrustOfPeople(self._rule, perceived, model.optimal).act(rows, people, minds, model.arrays)
 
     def _ready(self, who: Ints, x: Ints, robot: Ints) -> tuple[PersonModel, Minds, Floats]:
-        """Compute what people would choose where they are and where suggestions lead, and what these do to trust."""
+        """Compute what people would choose where they are and where robot actions lead, and what these do to trust."""
         said = np.flatnonzero(robot)
         self._problem.hear(x[said], robot[said])
         with self._lock:
             stamps, model = self._problem.now.stamps, self.model
             pomdp, arrays = model.pomdp, model.arrays
-            then = arrays.targets[x[said], np.maximum(arrays.suggested[x[said], robot[said]], 0)]
+            slot, there = arrays.suggested[x[said], robot[said]], arrays.afterstate[x[said], robot[said]]
+            then = np.where(slot < 0, there, arrays.targets[x[said], np.maximum(slot, 0)])
             who, x = np.concatenate([who, who[said]]), np.concatenate([x, then])
             self._reserve(len(stamps), arrays)
             new = self._stamps[who, x] != stamps[x]

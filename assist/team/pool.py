@@ -331,11 +331,11 @@ class Pool(Result):
         if isinstance(table, Goals) and terms:
             raise ValueError("people with weights of terms: expected one goal")
         own = solver if solver != qmdp else None
-        needed = {"weights": terms, "execute": setting.fleet.executes}
+        needed = {"weights": terms}
         people: Sequence[Human]
         choices: Choices | None = None
         asks = isinstance(table, Goals) and setting.c_ask is not None  # worth of answers: exact where it is affordable
-        most = MAX_ENUMERATED if asks or own or any(needed.values()) else states
+        most = MAX_ENUMERATED if asks or own or terms or setting.fleet.executes else states
         if isinstance(table, Choices) or is_whole(table, most):
             choices = affordable_choices(table, setting, terms, size, limit, required=any(needed.values()))
         if choices is not None:

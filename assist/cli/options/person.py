@@ -75,8 +75,6 @@ def person_problem(
     if states is None:
         states = len(known)
     whole, memory_limit = is_whole(known, states), float("inf")
-    if setting.execute and not whole:
-        raise click.UsageError(f"execute: expected a task of at most {states:,} states (--set region_states)")
     if not whole and setting.region_states is None:  # a state takes memory for each goal
         states, memory_limit = max(1, states // len(each_of(known))), setting.memory_limit
     try:

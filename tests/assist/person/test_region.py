@@ -241,10 +241,23 @@ def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: fl
 
 
 def test_nothing_is_executed_where_a_problem_breaks_off() -> None:
+    """Executions stay inside; their numbers are those of the suggestions, and what they are called does not change."""
     part = TruncatedTask.of(table_of(INSTANCES["paper-fixed"]), states=5)
     frontier = closed_problem(part).frontier
-    with pytest.raises(ValueError, match="execute: expected"):
-        AssistPOMDP.of(HumanModel.exact(part.choices), robot=OfRobots(execute=True), frontier=frontier)
+    problem = AssistPOMDP.of(HumanModel.exact(part.choices), robot=OfRobots(execute=True), frontier=frontier)
+    leads = inside = 0
+    for x in range(len(problem.ends)):
+        suggestions = (int(problem.robot_actions[x]) - 1) // 2
+        for r in range(1, 1 + suggestions):
+            target = part.choices.targets[x, problem.suggested[x, r]]
+            ends = target in part.frontier
+            assert problem.afterstate[x, r + suggestions] == (x if ends else target)
+            assert problem.executes(x, r + suggestions) == problem.suggestion(x, r) != problem.executes(x, r)
+            leads, inside = leads + ends, inside + (not ends)
+    assert leads
+    assert inside
+    with pytest.raises(ValueError, match="execute: expected an enumerated task for bounds"):
+        closed_problem(part, Assumptions(robot=OfRobots(execute=True)))
 
 
 def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
@@ -284,7 +297,7 @@ def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tin
         assert part.states.tolist() == region.states.tolist()
         assert part.pomdp.frontier is not None
         assert part.pomdp.frontier.states.tolist() == region.frontier.tolist()
-        with pytest.raises(ValueError, match="execute: expected a task of at most"):
+        with pytest.raises(ValueError, match="execute: expected an enumerated task for bounds"):
             PersonProblem.of(known, states=states, setting=Setting(execute=True))
 
 
@@ -354,7 +367,7 @@ def test_the_command_cuts_down_what_is_too_large() -> None:
         (
             ["paper.pddl", "--set", "region_states=20", "--set", "execute=true"],
             2,
-            "execute: expected a task of at most 20 states",
+            "execute: expected an enumerated task for bounds",
         ),
         (["absent.pddl"], 2, "absent.pddl"),
     ],

@@ -118,6 +118,40 @@ def test_the_next_step_is_the_same_by_either_policy(tiny: Table) -> None:
     assert rows.tolist() == part.rows(states).tolist() != states.tolist()
 
 
+@pytest.mark.parametrize("knowledge", ["own", "exact"])
+@pytest.mark.parametrize("suggestions", ["optimal", "all"])
+def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge: Any, monkeypatch: Any) -> None:
+    setting = Setting(
+        execute=True, c_suggest=0.3, c_execute=0.5, c_move=0.1, suggestions=suggestions, knowledge=knowledge
+    )
+    table, rng = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl")), Random(1)
+    whole = Pool.sample(table, 3, seed=1, setting=setting)
+    monkeypatch.setattr("assist.team.pool.MAX_ENUMERATED", 1)
+    monkeypatch.setattr(truncated_policy, "ROWS", 300)
+    part = Pool.sample(table, 3, seed=1, setting=setting, region=EVERYTHING)
+    one, other = whole.policies[0], part.policies[0]
+    for _ in range(20):
+        states = np.array(rng.sample(range(len(table)), 10))
+        belief = np.repeat(one.pomdp.prior[None], len(states), axis=0)
+        expected, found = (policy.q_values(policy.rows(states), belief) for policy in (one, other))
+        shown = found.shape[1]
+        assert not np.isfinite(expected[:, shown:]).any()
+        np.testing.assert_allclose(found, expected[:, :shown], rtol=0, atol=1e-9)
+    for policy in ("none", "reactive", "attention", "priority"):
+        runs = [simulate(pool, policy, humans=2, episodes=64, seed=3) for pool in (whole, part)]
+        assert_same(*runs, 64)
+        np.testing.assert_array_equal(runs[0].executed, runs[1].executed)
+        assert (policy in ("none", "reactive")) == (not runs[0].executed.any())
+    cut = Pool.sample(table, 3, seed=1, setting=setting, region=40)
+    none, best, near = (
+        simulate(pool, policy, humans=2, episodes=200, seed=4).discounted_return.mean()
+        for pool, policy in ((cut, "none"), (whole, "attention"), (cut, "attention"))
+    )
+    assert near - none > 0.8 * (best - none) > 0
+    with pytest.raises(ValueError, match="execute: expected an enumerated task for bounds"):
+        upper_bound(part)
+
+
 @pytest.mark.parametrize("travel_time", [0, 2])
 @pytest.mark.parametrize(("task", "error"), [("tiny", 1e-9), ("sealed", 1e-6)])  # the larger one is solved to 1e-6
 def test_prices_of_steps_on_rows_are_those_on_the_whole_task(task: str, error: float, travel_time: int) -> None:
