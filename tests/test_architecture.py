@@ -33,8 +33,8 @@ ROOMS = {
     "planner": "engine",
     "assist.declare": "declared tables options catalogue refusals",
     "assist.people": """arguments state_keys hidden_type choices misconception decision user_code goals terms memory
-        choice_model weighted_choice human ranges real_people spread belief influence_kernels type_kernels trust_rules
-        neighbours neighbourhood perceived_suggestions action_names signals""",
+        memory_on_demand choice_model weighted_choice human ranges real_people spread belief influence_kernels
+        type_kernels trust_rules neighbours neighbourhood perceived_suggestions action_names signals""",
     "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings pomdp assumptions
         visiting_robot problem_arrays people_arrays rows problem_rows policy lazy_policy archive belief_filter
         belief_update dynamics_kernel dynamics joint_belief beliefs hidden_beliefs rounding

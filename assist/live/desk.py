@@ -231,7 +231,7 @@ class Desk(Knowledge):
             person, bool(self.roster.present[k]), bool(self.roster.ended[k]), problem.state(row), names,
             self.roster.suggestion(record), self.cost_to_go(person), len(record.steps), pomdp.grid,
             pomdp.hidden, belief, pomdp.hidden.goals_shown(belief),
-            {} if record.joint is None else record.joint.states(choices), record.question,
+            {} if record.joint is None else record.joint.states(problem.policy), record.question,
             (record.told[-1].goal, record.told[-1].yes) if record.told else None,
         )  # fmt: skip
 

@@ -24,9 +24,10 @@ from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.goals import Goals, first_of
 from ..people.memory import choices_of
+from ..people.memory_on_demand import Remembering
 from ..people.ranges import Population
 from ..person.assumptions import Assumptions
-from ..person.person_problem import WHOLE, is_whole
+from ..person.person_problem import is_whole
 from ..person.policy import Policy
 from ..person.qmdp import qmdp
 from ..person.settings import Setting
@@ -86,7 +87,7 @@ class LiveTask:
 
     def state(self, row: int) -> int:
         """Return the task state of a row."""
-        return self.choices.task_state(self.place(row))
+        return int(self.policy.states(self.policy.places(np.array([row])))[0])
 
     def after(self, row: int, slot: int) -> int:
         """Return the row to which a choice leads."""
@@ -178,14 +179,10 @@ def require_usable(task: CostToGo | Goals | Policy, prior: Population) -> None:
     Raises
     ------
     ValueError
-        It is too large for what is asked of it.
+        There are several goals, and people have terms.
     """
-    if isinstance(task, Policy) or not prior.weights:
-        return
-    several = isinstance(task, Goals)
-    if several or not is_whole(task):
-        expected = "one goal" if several else f"a task of at most {WHOLE:,} states"
-        raise ValueError(f"people who remember what they did: expected {expected}")
+    if isinstance(task, Goals) and prior.weights:
+        raise ValueError("people who remember what they did: expected one goal")
 
 
 def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) -> Policy:
@@ -193,6 +190,8 @@ def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) ->
     if is_whole(known):
         choices = known.choices() if isinstance(known, Goals) else choices_of(known, tuple(prior.weights))
         return qmdp(Assumptions.of(setting, None, prior).problem(choices))
+    if prior.weights:
+        known = Remembering(first_of(known), prior.weights)
     return TruncatedPolicy(SharedTask(known), Assumptions.of(setting, None, prior))
 
 

@@ -39,8 +39,8 @@ OF_PLACES = {"h": np.inf, "goal": False, "key": 0}
 
 OF_CHOICES = {
     "known": False, "applicable": False, "actions": WAIT, "targets": OWN, "costs": 0.0, "best": False,
-    "optimal": False, "q": np.inf, "robot_actions": 1, "suggested": NOTHING, "afterstate": OWN, "robot_costs": 0.0,
-    "chosen": 0.0, "unsuggested": 0.0, "heard": False, "low": 0, "weight": 0.0, "followed_low": 0,
+    "optimal": False, "features": 0.0, "q": np.inf, "robot_actions": 1, "suggested": NOTHING, "afterstate": OWN,
+    "robot_costs": 0.0, "chosen": 0.0, "unsuggested": 0.0, "heard": False, "low": 0, "weight": 0.0, "followed_low": 0,
     "followed_weight": 0.0,
 }  # fmt: skip
 """What is known where somebody has been; without it a row has no choices. The effects of a robot action on trust, `low`
@@ -246,7 +246,8 @@ class GrowingProblem(ProblemRows):
         afterstate = np.where(executed == NOTHING, own[:, None], afterstate)
         columns = {
             "applicable": choices.applicable, "actions": choices.actions, "targets": row[choices.targets],
-            "costs": choices.costs, "best": choices.optimal, "optimal": choices.goals.optimal, "q": pomdp.model.q,
+            "costs": choices.costs, "best": choices.optimal, "optimal": choices.goals.optimal,
+            "features": choices.features, "q": pomdp.model.q,
             "robot_actions": pomdp.robot_actions, "suggested": pomdp.suggested,
             "robot_costs": pomdp.robot_costs, "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested,
             "low": pomdp.low, "weight": pomdp.weight,
@@ -282,7 +283,7 @@ class GrowingProblem(ProblemRows):
         choices = replace(
             choices, h=h.min(axis=0), goal=np.asarray(goal.all(axis=0)), applicable=rows["applicable"],
             actions=rows["actions"], targets=rows["targets"], costs=rows["costs"], optimal=rows["best"],
-            key=rows["key"], unknown_goal=goals,
+            features=None if choices.features is None else rows["features"], key=rows["key"], unknown_goal=goals,
         )  # fmt: skip
         own: dict[str, Any] = {
             name: rows[name]

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ..people.belief import ImpossibleObservationError
-from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from ..people.type_kernels import is_mistake, leave_out_reached
 from .belief_filter import posterior
@@ -195,11 +194,11 @@ class JointBelief:
             self, places=self.places[keep], joint=self.joint[keep] / kept, pruned=self.pruned + float(1 - kept)
         )
 
-    def states(self, choices: Choices) -> dict[int, float]:
+    def states(self, policy: Policy) -> dict[int, float]:
         """Return the probability of each possible task state."""
         found: dict[int, float] = {}
-        for place, probability in zip(self.places.tolist(), self.probability.tolist(), strict=True):
-            state = choices.task_state(place)
+        states = policy.states(self.places).tolist()
+        for state, probability in zip(states, self.probability.tolist(), strict=True):
             found[state] = found.get(state, 0.0) + probability
         return found
 

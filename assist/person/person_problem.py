@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, TypeGuard, overload
@@ -17,6 +17,7 @@ from ..people.arguments import whole
 from ..people.goals import Goals, each_of, first_of
 from ..people.human import Human
 from ..people.memory import choices_of
+from ..people.memory_on_demand import Remembering
 from ..people.misconception import Misconception
 from ..people.ranges import Population
 from .assumptions import Assumptions
@@ -65,23 +66,6 @@ def is_whole(known: CostToGo | Goals, states: int | None = None) -> TypeGuard[Ta
     """
     first, most = first_of(known), WHOLE if states is None else states
     return isinstance(first, Table) and len(first) <= most and len(known) <= rows_within(most)
-
-
-def require_whole(needed: Mapping[str, object], states: int) -> None:
-    """Raise a `ValueError` if something is asked for that a truncated task does not have.
-
-    People who remember what they did may come to any memory: what is likely is not known beforehand.
-
-    Parameters
-    ----------
-    needed : mapping of str to object
-        What is true, or not empty, is asked for.
-    states : int
-        The largest number of states of a task that is not truncated.
-    """
-    for name, given in needed.items():
-        if given:
-            raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")
 
 
 @dataclass(frozen=True)
@@ -148,7 +132,7 @@ class PersonProblem:
         Raises
         ------
         ValueError
-            A parameter is out of its range, or a truncated task or several goals are combined with executed actions or
+            A parameter is out of its range, a truncated task is combined with executed actions, or several goals with
             terms.
         """
         if not 0 <= sigma < np.inf:
@@ -166,12 +150,16 @@ class PersonProblem:
             return cls(known, assumed.problem(choices), choices.of_task(np.arange(choices.task_states)))
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
-        require_whole({"people who remember what they did": people.weights}, states)
-        of = partial(TruncatedTask.of, known, start=start, population=people, human=human, time_limit=time_limit)
+        task: CostToGo | Goals = known
+        if people.weights:
+            task = Remembering(first_of(known), people.weights)
+            start = None if start is None else int(task.without_memory([start])[0])
+        of = partial(TruncatedTask.of, task, start=start, population=people, human=human, time_limit=time_limit)
         problem = closed_problem(region := of(states=states, progress=progress), assumed)
         while (states := states // 2) >= 20:
             needed = first_bounds_bytes(problem, depth_within(problem, memory_limit_mb))
             if needed <= 0.8e6 * memory_limit_mb:
                 break
             problem = closed_problem(region := of(states=states), assumed)
-        return cls(known, problem, region.states)
+        at = task.state_of(region.states) if isinstance(task, Remembering) else region.states
+        return cls(known, problem, at)

@@ -116,6 +116,11 @@ class Policy:
         """Return the place of each row, shape (N,)."""
         return self.problem.places(rows)
 
+    def states(self, places: Ints) -> Ints:
+        """Return the task state of each place, shape (N,)."""
+        state = self.pomdp.model.choices.state
+        return places if state is None else state[places]
+
     @property
     def arrays(self) -> ProblemArrays:
         """The problem in the form that compiled code reads."""

@@ -157,7 +157,9 @@ class AssistPOMDP:
         one_of("suggestions", suggestions, get_args(Suggestions))
         if robot.execute:
             model.choices.require_one_goal("execute")
-        if robot.execute and model.choices.state is not None:
+        # On a task of any size every state has a memory, if people have terms.
+        has_memory = model.choices.state is not None or (frontier is not None and model.choices.terms)
+        if robot.execute and has_memory:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
         robots = _RobotActions.of(model.choices, suggestions, robot, None if frontier is None else frontier.states)

@@ -32,6 +32,7 @@ from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.goals import Goals, each_of, first_of
 from ..people.hidden_type import HiddenType, OfGoals
+from ..people.memory_on_demand import Remembering
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
 from .closed_problem import closed_problem
@@ -192,6 +193,10 @@ class TruncatedPolicy(Policy):
     def pomdp(self) -> AssistPOMDP:
         """The problem on all rows so far."""
         return self.problem.now.pomdp
+
+    def states(self, places: Ints) -> Ints:
+        """Return the task state of each place, shape (N,)."""
+        return self.task.state_of(places) if isinstance(self.task, Remembering) else places
 
     @cached_property
     def regions(self) -> tuple[TruncatedTask, ...]:

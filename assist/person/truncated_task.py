@@ -41,6 +41,7 @@ from ..people.choices import WAIT, Choices
 from ..people.decision import Floats, choice
 from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, joined, optimal_for_each
 from ..people.human import Human
+from ..people.memory_on_demand import Remembering
 from ..people.misconception import Misconception
 from ..people.ranges import Population
 from ..people.state_keys import keys_of
@@ -133,6 +134,8 @@ class TruncatedTask:
         reached.
         """
         choices = joined(known, each)
+        if isinstance(known, Remembering):
+            choices = known.with_terms(choices, states)
         return cls(known, choices, states, cut[~choices.goal[cut]])
 
     @property

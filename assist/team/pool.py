@@ -22,12 +22,13 @@ from ..people.arguments import Seed, entropy, require_goal, whole
 from ..people.choices import Choices
 from ..people.goals import Goals, costs_to_go, each_of, first_of
 from ..people.human import Human
+from ..people.memory_on_demand import Remembering
 from ..people.misconception import Misconception
 from ..people.ranges import Population
 from ..person.assumptions import Assumptions
 from ..person.lazy_policy import LazyPolicy
 from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
-from ..person.person_problem import WHOLE, is_whole, require_whole
+from ..person.person_problem import WHOLE, is_whole
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
@@ -331,25 +332,24 @@ class Pool(Result):
         if isinstance(table, Goals) and terms:
             raise ValueError("people with weights of terms: expected one goal")
         own = solver if solver != qmdp else None
-        needed = {"weights": terms}
         people: Sequence[Human]
         choices: Choices | None = None
         asks = isinstance(table, Goals) and setting.c_ask is not None  # worth of answers: exact where it is affordable
         most = MAX_ENUMERATED if asks or own or terms or setting.fleet.executes else states
         if isinstance(table, Choices) or is_whole(table, most):
-            choices = affordable_choices(table, setting, terms, size, limit, required=any(needed.values()))
+            choices = affordable_choices(table, setting, terms, size, limit, required=bool(terms))
         if choices is not None:
             people = drawn(choices)
             policies = _enumerated(choices, people, setting, prior, solver, ends, progress)
         else:
             assert not isinstance(table, Choices)
-            require_whole(needed, MAX_ENUMERATED)
             require_goal(float(costs_to_go(table, np.array([first_of(table).initial])).min()))
             require_room_for_people(size, 0, limit)
             people = drawn(None)
             models = size if setting.knowledge == "own" else 1
             room = states_within(limit, len(each_of(table)), models)
-            ground = SharedTask(table, region or min(default_size(table), room), models)
+            known = Remembering(first_of(table), dict.fromkeys(terms)) if terms else table
+            ground = SharedTask(known, region or min(default_size(table), room), models)
             policies = [of_task := TruncatedPolicy(ground, Assumptions.of(setting, None, prior), solver=own)]
             if setting.knowledge == "own":
                 policies = [

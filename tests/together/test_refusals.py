@@ -295,12 +295,6 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda g: Assistant(g.table, people=["ann"]).begin("ann", qmdp(make(g.choices))),
         ValueError, "ann: the next task distinguishes other values of beta and theta; expected the same",
     ),
-    "habits on a task of any size": (
-        lambda g: Assistant(
-            OnDemand(g.table.task), people=["ann"], population=Population(weights={"goals": (0.0, 1.0)})
-        ),
-        ValueError, "people who remember what they did: expected a task of at most",
-    ),
     # Tasks.
     "options of the engine": (lambda _: Engine(speed=3), TypeError, "speed: this engine has no such options"),
     "SAS text": (
