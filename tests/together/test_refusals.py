@@ -59,7 +59,7 @@ from assist.team.state import TeamAction
 from assist.web import request_limits
 from assist.web.client import Client
 from assist.web.tokens import AccessTokens
-from planner import OnDemand, PDDLError, Table, load
+from planner import PDDLError, Table, load
 from planner.engine import Engine
 from planner.grounding.translation import from_sas
 from planner.system.errors import InputFileError
