@@ -24,21 +24,15 @@ from assist.person.settings import Setting
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
 from assist.team.trace import Trace
-from planner import LimitError, OnDemand, Table
+from planner import LimitError, Table
 
 
-def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
+def test_pools_that_cannot_be(tiny_choices: Choices) -> None:
     for size in (0, -1, 2.0, True):
         with pytest.raises(ValueError, match="size"):
             Pool.sample(tiny_choices, size, seed=0)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="goal cannot be reached"):
         Pool.sample(replace(tiny_choices, h=np.full(len(tiny_choices), np.inf)), 2, seed=0)
-    for name, options in (
-        ("execute", {"setting": Setting(execute=True)}),
-        ("weights", {"population": Population(weights={"goals": (0.0, 1.0)})}),
-    ):
-        with pytest.raises(ValueError, match=f"{name}: expected a task of at most 200,000 states"):
-            Pool.sample(OnDemand(tiny.task), 2, seed=0, **options)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"execute": True}, {"knowledge": "exact"}])
