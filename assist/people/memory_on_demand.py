@@ -14,8 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import CostToGo, Transitions
-from planner.grounding.task import Task
+from planner import CostToGo, Task, Transitions
 
 from .choices import Choices
 from .terms import NOTHING_YET, TERMS, Ints, Situation, Vocabulary, features, goals_met
