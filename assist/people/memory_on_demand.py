@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import CostToGo, Task, Transitions
+from planner import CostToGo, Transitions
 
 from .choices import Choices
 from .terms import NOTHING_YET, TERMS, Ints, Situation, Vocabulary, features, goals_met
@@ -41,7 +41,7 @@ class Remembering(CostToGo):
         self._begin = int(self.without_memory([known.initial])[0])
 
     @property
-    def task(self) -> Task:
+    def task(self) -> Any:
         """The task."""
         return self.known.task
 
