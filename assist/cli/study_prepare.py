@@ -53,11 +53,12 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
             record = None if check or data is None else register(study, data)
             for text in _remarks(study):
                 note(text)
-            print_json(
-                {"study": str(file), "places": study.participants, "comparisons": study.comparisons}
-                if record is None
-                else record
-            )
+            if record is None:
+                print_json({"study": str(file), "places": study.participants, "comparisons": study.comparisons})
+                note(f"{file} can be carried out; nothing is registered yet")
+            else:
+                print_json({name: value for name, value in record.items() if name != "text"})
+                note(f"registered in {data}; `kitassist serve --study {file} --data {data}` begins the study")
             return
     except InputFileError as error:
         fail(str(error), ExitCode.USAGE)

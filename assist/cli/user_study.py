@@ -82,7 +82,10 @@ def conduct(
     def ready(service: StudyService) -> None:
         links = {"url": service.access.base, "operator": service.operator_url()}
         click.echo(json.dumps({**links, "join": {"everybody": service.join_url()}}))
-        note(f"the study is saved in {folder}; Ctrl-C ends the service, --data {folder} resumes it")
+        note(
+            f"{rehearse} simulated participants take part; their data are saved in {folder}" if rehearse
+            else f"the study is saved in {folder}; Ctrl-C ends the service, --data {folder} resumes it"
+        )  # fmt: skip
 
     try:
         with at.listen() as listening:

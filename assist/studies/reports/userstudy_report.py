@@ -9,6 +9,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from planner.system.errors import InputFileError
+
 from ...declare.declared import NOTHING, is_declared, names_of, plain, shown
 from ...drawing.plots import style
 from ...drawing.plots import userstudy as draw
@@ -42,6 +44,10 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
     InputFileError, OSError
         The folder is neither a study's folder nor an unpacked export, or a file in it is damaged.
     """
+    if not (folder / PLAN).exists():
+        raise InputFileError(
+            f"{folder}: no {PLAN}; expected the folder of a study that has begun, or an unpacked export"
+        )
     study = read(folder / PLAN, carried_out=True)
     if any((folder / name).exists() for name in (JOURNAL, Path(JOURNAL).with_suffix(".jsonl"))):
         return study, tables(study, folder / JOURNAL)

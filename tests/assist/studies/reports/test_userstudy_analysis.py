@@ -564,7 +564,8 @@ def run(*words: object) -> Any:
 def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(tmp_path: Path) -> None:
     file, data = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data"
     said = run("study-prepare", file, "--data", data)
-    assert json.loads(said.stdout) == json.loads((data / REGISTERED).read_text())
+    assert json.loads(said.stdout) | {"text": CONFIRMED} == json.loads((data / REGISTERED).read_text())
+    assert f"serve --study {file} --data {data}` begins the study" in said.stderr
     again = run("study-prepare", file, "--data", data)
     assert (again.exit_code, again.stderr.count("\n")) == (2, 1)
     assert f"already registered at {json.loads(said.stdout)['registered']}; to register another plan" in again.stderr
@@ -606,6 +607,7 @@ def test_a_plan_is_checked_without_registering_it(tmp_path: Path) -> None:
     assert json.loads(said.stdout) == {"study": str(file), "places": 13, "comparisons": 2}
     assert said.stderr == (
         "participants 13: 2 conditions get unequal numbers; expected a multiple of 2 for equal ones\n"
+        f"{file} can be carried out; nothing is registered yet\n"
     )
     assert [one.name for one in tmp_path.iterdir()] == ["study.toml"]
     dear = written(file, CONFIRMED.replace("c_suggest = 0.02", "c_suggest = 50.0"))

@@ -264,6 +264,14 @@ def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:
             userstudy_report.of_folder(folder)
 
 
+def test_a_folder_without_a_study_is_refused_in_one_line(tmp_path: Path) -> None:
+    refused = CliRunner().invoke(main, ["study-report", str(tmp_path)])
+    assert refused.exit_code == 1
+    assert refused.stderr == (
+        f"{tmp_path}: no study.toml; expected the folder of a study that has begun, or an unpacked export\n"
+    )
+
+
 def test_an_answer_that_a_spreadsheet_would_calculate_is_text(tmp_path: Path) -> None:
     folder = exported(tmp_path / "export", answers=[{"answer": "=1+1"}, {"answer": "-1"}, {"answer": "1-1"}])
     assert [row["answer"] for row in read(folder, "answers.csv")] == ["'=1+1", "'-1", "1-1"]
