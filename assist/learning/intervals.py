@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from statistics import NormalDist
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import chdtri
 
 from ..people.decision import Floats
 
@@ -15,7 +14,7 @@ Interval = tuple[float, float]
 
 def largest_fall(level: float) -> float:
     """Return by how much the log-likelihood may be below its maximum for a value that is not rejected (Wilks 1938)."""
-    return float(chdtri(1, 1 - level)) / 2
+    return NormalDist().inv_cdf((1 + level) / 2) ** 2 / 2
 
 
 def end_of(
@@ -38,6 +37,8 @@ def end_of(
     tolerance, relative : float
         Largest error of the end: of a value, and as a share of it.
     """
+    from scipy.optimize import brentq  # slow to import, and first estimates do not need it
+
     for outside in outwards:
         if margin(outside) < 0:
             found = brentq(margin, inside, outside, xtol=tolerance, rtol=relative) if margin(inside) > 0 else inside

@@ -104,12 +104,12 @@ def heard_steps(suggested: Ints, begins: NDArray[np.bool_]) -> tuple[Ints, NDArr
 
 
 @njit(nogil=True)
-def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats, silent: Floats) -> None:
-    """Fill in the log-likelihood of the steps without a suggestion, by row, and probabilities at the others, (heard,).
+def alone(data: Data, beta: float, chances: Floats, silent: Floats) -> None:
+    """Fill in the log-likelihood of steps without a suggestion, (rows,), and probabilities at the others, (3, heard).
 
-    `own`, `told` and `rest` are the probabilities, without the suggestion, of the chosen action, of the suggested one,
-    and of all actions but the suggested one. The last is a sum, because 1 - told would lose precision near 1. The
-    probabilities of a user's choice model are interpolated between two values of beta.
+    These are, without the suggestion, the probabilities of the chosen action, of the suggested one, and of all actions
+    but the suggested one. The last is a sum, because its complement would lose precision near 1. The probabilities of a
+    user's choice model are interpolated between two values of beta.
     """
     own_model = len(data.grid) > 0
     low, share = 0, 0.0
@@ -138,9 +138,8 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats, sile
             else:
                 others += weight
         if data.suggested[i] >= 0:
-            own[k] = picked / (heard + others)
-            told[k] = heard / (heard + others)
-            rest[k] = others / (heard + others)
+            total = heard + others
+            chances[0, k], chances[1, k], chances[2, k] = picked / total, heard / total, others / total
             k += 1
             continue
         product *= (1.0 - data.lapse) * picked / others + data.lapse / data.options[i]
@@ -163,69 +162,57 @@ def by_equation_seven(data: Data, theta: Floats, eta: Floats) -> Floats:
 
 
 @njit(nogil=True)
-def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, path: Floats) -> Floats:
-    """Return the log-likelihood of all steps for each path, shape (P,), given what `alone` fills in.
+def with_trust(data: Data, chances: Floats, silent: Floats, path: Floats) -> Floats:
+    """Return the log-likelihood of all steps for each beta and path, shape (B, P), given what `alone` fills in.
 
-    `path` is theta at each suggestion, shape (heard, P), for P values of what theta depends on. Goals are summed within
-    an episode, then episodes are added.
+    `chances`, shape (B, 3, heard), and `silent`, shape (B, rows), are of B values of beta. `path` is theta at each
+    suggestion, shape (heard, P), for P values of what theta depends on. Goals are summed within an episode, then
+    episodes are added.
 
     Equation (6) as in `influence_kernels.influence_factors`, without branches in the loop over theta, so that it is
     compiled into vector instructions. `SURE` in place of 0 makes a suggestion have no effect that would leave no choice
     possible.
     """
-    count = path.shape[1]
-    found, row = np.empty((len(silent), count)), 0
-    for r in range(len(silent)):
-        for p in range(count):
-            found[r, p] = silent[r]
-    product, since = np.empty(count), 0
-    for p in range(count):
-        product[p] = 1.0
-    for k in range(len(data.heard) + 1):
-        i = data.heard[k] if k < len(data.heard) else -1
-        if i < 0 or since == data.together or (data.row[i] != row and since):
-            for p in range(count):
-                found[row, p] += math.log(product[p])
-                product[p] = 1.0
-            since = 0
-        if i < 0:
-            break
-        row = data.row[i]
-        yes, share = data.chosen[i] == data.suggested[i], data.lapse / data.options[i]
-        picked, heed, others = (1.0 - data.lapse) * own[k], told[k], rest[k]
-        for p in range(count):
-            sure, other = max(path[k, p], SURE), max(1.0 - path[k, p], SURE)
-            product[p] *= picked * (sure if yes else other) / (sure * heed + other * others) + share
-        since += 1
-    if len(found) == 1:
-        return found[0]
-    total = np.empty(count)
-    for p in range(count):
-        total[p] = 0.0
-        for first in range(0, len(found), data.goals):
-            most, chance = -math.inf, 0.0
-            for r in range(first, first + data.goals):
-                most = max(most, found[r, p])
-            for r in range(first, first + data.goals):
-                chance += math.exp(found[r, p] - most)
-            total[p] += most + math.log(chance)
-    return total
-
-
-@njit(nogil=True)
-def fill(found: Floats, data: Data, chances: Floats, silent: Floats, path: Floats) -> None:
-    """Fill in the log-likelihood for each beta and each path of theta, shape (B, P), given those of `without_trust`."""
+    rows, count = silent.shape[1], path.shape[1]
+    total, found, product = np.empty((len(silent), count)), np.empty((rows, count)), np.empty(count)
     for b in range(len(silent)):
-        values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], silent[b], path)
-        for p in range(len(values)):
-            found[b, p] = values[p]
+        for p in range(count):
+            product[p], total[b, p] = 1.0, 0.0
+            for r in range(rows):
+                found[r, p] = silent[b, r]
+        row, since = 0, 0
+        for k in range(len(data.heard) + 1):
+            i = data.heard[k] if k < len(data.heard) else -1
+            if i < 0 or since == data.together or (data.row[i] != row and since):
+                for p in range(count):
+                    found[row, p] += math.log(product[p])
+                    product[p] = 1.0
+                since = 0
+            if i < 0:
+                break
+            row = data.row[i]
+            yes, share = data.chosen[i] == data.suggested[i], data.lapse / data.options[i]
+            picked, heed, others = (1.0 - data.lapse) * chances[b, 0, k], chances[b, 1, k], chances[b, 2, k]
+            for p in range(count):
+                sure, other = max(path[k, p], SURE), max(1.0 - path[k, p], SURE)
+                product[p] *= picked * (sure if yes else other) / (sure * heed + other * others) + share
+            since += 1
+        for first in range(0, rows, data.goals):
+            for p in range(count):
+                most, chance = found[first, p], 0.0
+                for r in range(first + 1, first + data.goals):
+                    most = max(most, found[r, p])
+                for r in range(first, first + data.goals if data.goals > 1 else first):
+                    chance += math.exp(found[r, p] - most)
+                total[b, p] += most if data.goals == 1 else most + math.log(chance)
+    return total
 
 
 def without_trust(data: Data, beta: Floats) -> tuple[Floats, Floats]:
     """Return what `alone` fills in for each beta, shapes (B, 3, heard) and (B, rows)."""
     chances, silent = np.empty((len(beta), 3, len(data.heard))), np.empty((len(beta), len(data.first)))
     for b, value in enumerate(beta.tolist()):
-        alone(data, value, *chances[b], silent[b])
+        alone(data, value, chances[b], silent[b])
     return chances, silent
 
 

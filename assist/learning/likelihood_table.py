@@ -19,7 +19,7 @@ from ..people.decision import NOTHING, Floats
 from ..people.neighbours import SeenEvent, SeenRule
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule
-from .likelihood import Data, Method, fill, largest_beta, without_trust
+from .likelihood import Data, Method, largest_beta, with_trust, without_trust
 from .observations import Ints, Observations
 
 THETAS = 41
@@ -209,10 +209,11 @@ class LikelihoodTable(ByContent):
     def log_likelihood(self, rule: TrustRule, *, carry: bool = True) -> Floats:
         """Return the log likelihood of each person's choices, shape (K, B, T); parameters as for `thetas`."""
         before, _ = self.thetas(rule, carry=carry)
-        found = np.empty((len(self.people), len(self.beta), len(self.theta)))
-        for k, data in enumerate(self.data):
-            fill(found[k], data, self.chances[k], self.silent[k], before[k, : self.heard[k]])
-        return found
+        found = [
+            with_trust(data, self.chances[k], self.silent[k], before[k, : self.heard[k]])
+            for k, data in enumerate(self.data)
+        ]
+        return np.array(found).reshape(len(found), len(self.beta), len(self.theta))
 
 
 def _seen(observations: Sequence[Observations], most: int) -> Floats:

@@ -27,7 +27,7 @@ from planner.system.jit import njit
 from ..people.decision import NOTHING, Floats
 from .evidence import Evidence, observations_of
 from .intervals import end_of, largest_fall
-from .likelihood import SMALL, Data, Method, alone, by_equation_seven, fill, largest_beta, with_trust, without_trust
+from .likelihood import SMALL, Data, Method, alone, by_equation_seven, largest_beta, with_trust, without_trust
 from .observations import Observations
 from .person_estimate import PARAMETERS, Estimate, PersonEstimate
 
@@ -244,8 +244,7 @@ class Profiles:
             sizes = np.array([len(places) for places in some])
             places, other = np.concatenate(some), np.repeat(others[begin : begin + most], sizes)
             path = by_equation_seven(self.data, *((places, other) if axis == THETA else (other, places)))
-            values, starts = np.empty((shape[0], len(places))), sizes.cumsum() - sizes
-            fill(values, self.data, chances, silent, path)
+            values, starts = with_trust(self.data, chances, silent, path), sizes.cumsum() - sizes
             best = np.maximum.reduceat(values, starts, axis=1)
             first = np.where(values == best.repeat(sizes, axis=1), np.arange(len(places)), len(places))
             found[:, begin : begin + most] = best
@@ -310,12 +309,10 @@ def _climb(
     maxima in twice the time; Powell and L-BFGS-B end up to 0.5 below them (at kinks) for six and seven of 20 people on
     `kitting/paper`.
     """
-    n = len(data.heard)
-    own, told, rest = np.empty(n), np.empty(n), np.empty(n)
-    silent = np.empty(len(data.first))
+    chances, silent = np.empty((1, 3, len(data.heard))), np.empty((1, len(data.first)))
     filled = at[0]
-    alone(data, small * math.expm1(filled), own, told, rest, silent)
-    best = with_trust(data, own, told, rest, silent, by_equation_seven(data, at[1:2], at[2:3]))[0]
+    alone(data, small * math.expm1(filled), chances[0], silent[0])
+    best = with_trust(data, chances, silent, by_equation_seven(data, at[1:2], at[2:3]))[0, 0]
     before = np.empty(3)
     for _ in range(halvings):
         improved = True
@@ -337,8 +334,8 @@ def _climb(
                         at[c] = min(max(at[c], low[c]), high[c])
                     if at[0] != filled:
                         filled = at[0]
-                        alone(data, small * math.expm1(filled), own, told, rest, silent)
-                    value = with_trust(data, own, told, rest, silent, by_equation_seven(data, at[1:2], at[2:3]))[0]
+                        alone(data, small * math.expm1(filled), chances[0], silent[0])
+                    value = with_trust(data, chances, silent, by_equation_seven(data, at[1:2], at[2:3]))[0, 0]
                     if value > best:
                         best = value
                         improved = True

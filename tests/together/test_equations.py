@@ -190,7 +190,7 @@ def test_the_likelihood_of_a_walk_is_that_of_the_equations(
         *heard_steps(suggested, begins), np.zeros(len(steps), dtype=np.int64), np.zeros(1), 1, 1,
     )  # fmt: skip
     data = Data(*(read_only(part) if isinstance(part, np.ndarray) else part for part in parts))
-    chances, silent = np.empty((3, len(data.heard))), np.empty(1)
-    alone(data, beta, *chances, silent)
+    chances, silent = np.empty((1, 3, len(data.heard))), np.empty((1, 1))
+    alone(data, beta, chances[0], silent[0])
     path = by_equation_seven(data, np.array([first]), np.array([model.eta]))
-    np.testing.assert_allclose(with_trust(data, *chances, silent, path).item(), total, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(with_trust(data, chances, silent, path).item(), total, rtol=1e-9, atol=1e-9)

@@ -28,11 +28,11 @@ FEW_ACTIONS = 10_000
 
 def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs: int | None) -> FittedPeople:
     """Estimate the parameters of the people in a log. Expected errors end the command in one line."""
+    if model in (None, "misconceptions"):
+        _show_first(seen, method)  # before the next import, which takes as long
     from ...learning.fit import fit
     from ...people.user_code import UserCodeError
 
-    if model in (None, "misconceptions"):
-        _show_first(seen, method)
     try:
         with stages() as show:
             return fit(seen, method=method, model=model, seed=seed, jobs=jobs or processors(), progress=show)
