@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -11,7 +12,7 @@ import planner
 from .options.common import MEGABYTES, json_option, out_option
 from .options.help import command
 from .options.person import PersonOptions, person_options, person_problem
-from .options.task import table_of
+from .options.task import costs_of, table_of
 from .terminal.console import ExitCode, fail, one_line_errors, print_json
 
 FORMATS = ("pomdpx", "pomdp")
@@ -27,9 +28,19 @@ FORMATS = ("pomdpx", "pomdp")
     "--size-limit", type=MEGABYTES, default=500.0, show_default=True, metavar="MB",
     help="A larger file is not written.",
 )  # fmt: skip
+@click.option(
+    "--leaves",
+    type=click.Choice(("lower", "upper")),
+    default="lower",
+    show_default=True,
+    help="With --set region_states: whether the file's optimal value is a lower or an upper bound for the whole task.",
+)
 @person_options
 @json_option
-def export(person: PersonOptions, form: str | None, out: Path, size_limit: float, as_json: bool) -> None:
+def export(
+    person: PersonOptions, form: str | None, out: Path, size_limit: float, leaves: Literal["lower", "upper"],
+    as_json: bool,
+) -> None:  # fmt: skip
     """Write the POMDP of assisting one person to a file for other solvers."""
     from ..connect import pomdp as flat
     from ..connect import pomdpx as mixed
@@ -38,10 +49,16 @@ def export(person: PersonOptions, form: str | None, out: Path, size_limit: float
     named = out.suffix.removeprefix(".")
     if named not in ((form,) if form else FORMATS):  # solvers choose the parser by the suffix
         raise click.UsageError(f"--out {out}: expected a name that ends in .{form or ' or .'.join(FORMATS)}")
-    given = person.given
-    given.refuse(("goal_prior", "max_states", "region_states", "memory_limit"), "on an export")
+    given, setting = person.given, person.setting
+    given.refuse(("goal_prior", "max_states", "memory_limit"), "on an export")
+
+    def known_of(found: planner.Instance) -> planner.CostToGo:
+        if setting.region_states is None:
+            return table_of(found)
+        return costs_of(found, max_states=setting.max_states, memory_limit_mb=setting.memory_limit)
+
     with one_line_errors():
-        found, problem = person_problem(person, table_of, states=None)
+        found, problem = person_problem(person, known_of, states=setting.region_states)
         pomdp = problem.pomdp
         if pomdp.followed_low is not None:
             whose = "--trust" if "trust" in given else f"--population {given.values['population']}"
@@ -50,8 +67,9 @@ def export(person: PersonOptions, form: str | None, out: Path, size_limit: float
                 "constant"
             )
         try:
-            table = problem.known if isinstance(problem.known, planner.Table) else None
-            observed = Observed.of(pomdp, table)
+            whole = pomdp.frontier is None
+            table = problem.known if whole and isinstance(problem.known, planner.Table) else None
+            observed = Observed.of(pomdp, table, leaves)
             if named == "pomdp":
                 flat.require_size(observed)
             needed = bytes_needed(observed, {"pomdpx": mixed, "pomdp": flat}[named].lines_of) / 1e6
@@ -62,7 +80,7 @@ def export(person: PersonOptions, form: str | None, out: Path, size_limit: float
                 )
             if needed > 10:
                 click.echo(f"{out}: about {needed:,.0f} MB", err=True)
-            {"pomdpx": mixed.write_pomdpx, "pomdp": flat.write_pomdp}[named](pomdp, out, table)
+            {"pomdpx": mixed.write_pomdpx, "pomdp": flat.write_pomdp}[named](pomdp, out, table, leaves=leaves)
         except ValueError as error:
             fail(f"{found}: {error}", ExitCode.FAILED)
         record = {
@@ -71,6 +89,7 @@ def export(person: PersonOptions, form: str | None, out: Path, size_limit: float
             "format": named,
             "out": str(out),
             "states": len(pomdp.model.choices),
+            "frontier": 0 if pomdp.frontier is None else len(pomdp.frontier.states),
             "hidden": pomdp.prior.size,
             "robot_actions": len(action_names(pomdp)),
             "bytes": out.stat().st_size,

@@ -8,6 +8,9 @@ All formats describe the same problem exactly:
 - **Robot actions.** The formats have the same actions in all states. An action that a state lacks does the same as
   "nothing" and costs 1 more. No optimal policy takes it, and the value function is unchanged, as for any extra cost.
 - **Goals.** Goal states are absorbing and free of cost, and theta does not change there.
+- **Leaves.** A truncated problem ends at its frontier, whose states are absorbing, too. Each step there has the reward
+  (1 - gamma) v, so that the return from there is v: the lower bound on the value in the whole task, or the upper one.
+  So the optimal value of the file is a lower bound on that of the whole task, or an upper one.
 """
 
 from __future__ import annotations
@@ -16,14 +19,18 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import Table
 
+from ..people.arguments import one_of
 from ..people.decision import NOTHING, Floats
 from ..person.pomdp import AssistPOMDP
+
+Leaves = Literal["lower", "upper"]
 
 
 @dataclass(frozen=True)
@@ -39,15 +46,18 @@ class Observed:
         The observed value after the action in each slot.
     table : Table, optional
         The table of the task, whose facts name the states.
+    leaves : "lower" or "upper"
+        The bounds that are the values of leaves, if the problem is truncated.
     """
 
     pomdp: AssistPOMDP
     state: NDArray[np.int64]
     targets: NDArray[np.int64]
     table: Table | None = None
+    leaves: Leaves = "lower"
 
     @classmethod
-    def of(cls, pomdp: AssistPOMDP, table: Table | None = None) -> Observed:
+    def of(cls, pomdp: AssistPOMDP, table: Table | None = None, leaves: Leaves = "lower") -> Observed:
         """Return the observed values of a problem, with the copies that it needs.
 
         Parameters
@@ -55,15 +65,16 @@ class Observed:
         pomdp : AssistPOMDP
         table : Table, optional
             The table of its task, whose facts name the states; `s0`, `s1`, ... unless given.
+        leaves : "lower" or "upper"
+            As in the attributes of the class.
 
         Raises
         ------
         ValueError
-            The problem is truncated at a frontier, or its trust rule depends on whether advice is followed.
+            There are several goals, or the trust rule depends on whether advice is followed.
         """
         pomdp.model.choices.require_one_goal("a problem with observed values")
-        if pomdp.frontier is not None:
-            raise ValueError("the problem is truncated at a frontier; expected one of an enumerated task")
+        one_of("leaves", leaves, get_args(Leaves))
         if pomdp.followed_low is not None:
             raise ValueError("the trust rule depends on whether advice is followed; expected one that does not")
         choices = pomdp.model.choices
@@ -79,7 +90,19 @@ class Observed:
                         copies[y, rank] = len(state)
                         state.append(int(y))
                     targets[x, slot] = copies[y, rank]
-        return cls(pomdp, np.array(state, dtype=np.int64), targets, table)
+        return cls(pomdp, np.array(state, dtype=np.int64), targets, table, leaves)
+
+    @cached_property
+    def _leaf(self) -> dict[int, Floats]:
+        """The reward of each step in a leaf, shape (B or 1, T or 1)."""
+        if (frontier := self.pomdp.frontier) is None:
+            return {}
+        value = (1 - self.pomdp.gamma) * getattr(frontier, self.leaves)
+        return dict(zip(frontier.states.tolist(), value, strict=True))
+
+    def stays(self, x: int) -> bool:
+        """Return whether a state is absorbing: a goal, or a leaf."""
+        return bool(self.pomdp.model.choices.goal[x]) or x in self._leaf
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -140,6 +163,8 @@ class Observed:
         Successors of probability 0 are omitted. A probability that does not depend on theta has shape (B, 1).
         """
         pomdp, choices = self.pomdp, self.pomdp.model.choices
+        if self.stays(x):
+            return [(x, np.ones((len(pomdp.grid.beta), 1)))]
         r = r if r < pomdp.robot_actions[x] else 0
         place = int(pomdp.afterstate[x, r])
         if choices.goal[place]:
@@ -158,6 +183,8 @@ class Observed:
         pomdp, choices = self.pomdp, self.pomdp.model.choices
         if choices.goal[x]:
             return np.zeros((1, 1))
+        if x in self._leaf:
+            return self._leaf[x]
         forbidden = r >= pomdp.robot_actions[x]
         r = 0 if forbidden else r
         place = int(pomdp.afterstate[x, r])

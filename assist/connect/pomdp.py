@@ -13,10 +13,17 @@ from planner import Table
 from planner.system.files import atomic
 
 from ..person.pomdp import AssistPOMDP
-from .observed import Observed, action_names, numbers
+from .observed import Leaves, Observed, action_names, numbers
 
 
-def write_pomdp(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None, *, max_states: int = 20_000) -> None:
+def write_pomdp(
+    pomdp: AssistPOMDP,
+    path: Path | str,
+    table: Table | None = None,
+    *,
+    max_states: int = 20_000,
+    leaves: Leaves = "lower",
+) -> None:
     """Write a small problem in Cassandra's flat format, one state per (x, beta, theta).
 
     The number of a state is `(x * B + beta) * T + theta`, where x is an observed value (see `Observed`). After each
@@ -30,14 +37,16 @@ def write_pomdp(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None
         The table of the task, whose facts name the states in comments; `s0`, `s1`, ... unless given.
     max_states : int
         Largest number of states of the flat format. Larger problems fit POMDPX, which is factored.
+    leaves : "lower" or "upper"
+        As in `write_pomdpx`.
 
     Raises
     ------
     ValueError
-        The problem has more than `max_states` flat states, is truncated at a frontier, or its trust rule depends on
+        The problem has more than `max_states` flat states, there are several goals, or the trust rule depends on
         whether advice is followed.
     """
-    observed = Observed.of(pomdp, table)
+    observed = Observed.of(pomdp, table, leaves)
     require_size(observed, max_states)
     with atomic(Path(path)) as file, file.open("w", encoding="ascii") as stream:
         _flat(observed, stream)
@@ -78,8 +87,10 @@ def lines_of(observed: Observed, values: NDArray[np.int64]) -> Iterator[str]:
     betas, thetas = pomdp.grid.shape
     cells, robots, stay = betas * thetas, action_names(pomdp), np.eye(thetas)
     for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
-        if pomdp.model.choices.goal[x]:
+        if observed.stays(x):
             yield from (f"T: * : {value * cells + i} : {value * cells + i} 1\n" for i in range(cells))
+            stay_for = np.broadcast_to(observed.reward(x, 0), (betas, thetas)).ravel().tolist()
+            yield from (f"R: * : {value * cells + i} : * : * {v!r}\n" for i, v in enumerate(stay_for) if v)
             continue
         for r, robot in enumerate(robots):
             matrix = observed.moves(x, r)

@@ -63,7 +63,7 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
     MissingExtraError
         pomdp-py is not installed.
     ValueError
-        The problem is truncated at a frontier, or its trust rule depends on whether advice is followed.
+        There are several goals, or the trust rule depends on whether advice is followed.
     """
     if importlib.util.find_spec("pomdp_py") is None:
         raise MissingExtraError("this conversion needs", "pomdp-py", "pomdp-py")
@@ -72,7 +72,6 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
 
     observed = Observed.of(pomdp)
     betas, thetas = pomdp.grid.shape
-    goal = pomdp.model.choices.goal
     actions = [SimpleAction(name) for name in action_names(pomdp)]
     number = {action.name: r for r, action in enumerate(actions)}
     observations = [SimpleObservation(x) for x in range(len(observed.state))]
@@ -81,8 +80,9 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
     def rows(value: int, r: int) -> tuple[list[int], Floats, Floats | None, Floats]:
         """Return the successors of an observed value, their probabilities (Y, B, T), theta's matrix and the reward."""
         x = int(observed.state[value])
-        if goal[x]:
-            return [value], np.ones((1, betas, thetas)), None, np.zeros((betas, thetas))
+        if observed.stays(x):
+            reward = np.broadcast_to(observed.reward(x, 0), (betas, thetas))
+            return [value], np.ones((1, betas, thetas)), None, reward
         steps = observed.step(x, r)
         chances = np.array([np.broadcast_to(chance, (betas, thetas)) for _, chance in steps])
         reward = np.broadcast_to(observed.reward(x, r), (betas, thetas))

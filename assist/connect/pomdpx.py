@@ -15,10 +15,10 @@ from planner.system.files import atomic
 
 from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP
-from .observed import Observed, action_names, numbers
+from .observed import Leaves, Observed, action_names, numbers
 
 
-def write_pomdpx(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None) -> None:
+def write_pomdpx(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None, *, leaves: Leaves = "lower") -> None:
     """Write a problem in POMDPX 1.0, with mixed observability.
 
     The state variable `x` is observed; `beta` and `theta` are hidden, in this order. Given (x, beta, theta) and the
@@ -37,13 +37,16 @@ def write_pomdpx(pomdp: AssistPOMDP, path: Path | str, table: Table | None = Non
     path : path
     table : Table, optional
         The table of the task, whose facts name the states; `s0`, `s1`, ... unless given.
+    leaves : "lower" or "upper"
+        The bounds that a truncated problem has at its frontier. The optimal value of the file is then a lower bound on
+        that of the whole task, or an upper one.
 
     Raises
     ------
     ValueError
-        The problem is truncated at a frontier, or its trust rule depends on whether advice is followed.
+        There are several goals, or the trust rule depends on whether advice is followed.
     """
-    observed = Observed.of(pomdp, table)
+    observed = Observed.of(pomdp, table, leaves)
     with atomic(Path(path)) as file, file.open("w", encoding="ascii") as stream:
         _pomdpx(observed, stream)
 
@@ -120,7 +123,7 @@ def _over(array: Floats) -> str:
 def _transitions(observed: Observed, robots: list[str], values: NDArray[np.int64]) -> Entries:
     for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
         here = observed.names[value]
-        if observed.pomdp.model.choices.goal[x]:
+        if observed.stays(x):
             yield f"* {here} * * {here}", "1"
             continue
         for r, robot in enumerate(robots):
@@ -138,8 +141,9 @@ def _theta_moves(observed: Observed, robots: list[str], values: NDArray[np.int64
 
 def _rewards(observed: Observed, robots: list[str], values: NDArray[np.int64]) -> Entries:
     for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
-        if observed.pomdp.model.choices.goal[x]:
-            yield f"* {observed.names[value]} * *", "0"
+        if observed.stays(x):
+            reward = observed.reward(x, 0)
+            yield f"* {observed.names[value]} {_over(reward)}", reward
             continue
         for r, robot in enumerate(robots):
             reward = observed.reward(x, r)

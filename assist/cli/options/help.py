@@ -31,8 +31,8 @@ GROUPS = {
         "--memory-limit", "--verify", "--most-values", "--jobs", "--scheduler", "--resume", "--seed",
     ),
     "Output": (
-        "--out", "--write-population", "--size-limit", "--trace", "--reasons", "--figure", "--figures", "--width",
-        "--json", "--help",
+        "--out", "--write-population", "--size-limit", "--leaves", "--trace", "--reasons", "--figure", "--figures",
+        "--width", "--json", "--help",
     ),
 }  # fmt: skip
 """Options of all commands by topic, in the order of the help; other declared fields are the robot's."""

@@ -9,6 +9,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,10 +23,12 @@ from assist.connect.observed import Observed, action_names
 from assist.people.choices import Choices
 from assist.people.human import HumanModel
 from assist.people.memory import remembered
-from assist.person.leaf_bounds import LeafBounds
+from assist.person.assumptions import Assumptions
+from assist.person.closed_problem import closed_problem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.robots import OfRobots
+from assist.person.truncated_task import TruncatedTask
 from planner import Instance, Table, load, sweep
 from planner.system.errors import InputFileError, MissingExtraError
 
@@ -290,12 +293,59 @@ def test_no_value_changes(tiny_choices: Choices, tmp_path: Path, name: str) -> N
     np.testing.assert_allclose(value.reshape(expected.shape), expected, atol=1e-7)
 
 
+@pytest.mark.parametrize("leaves", ["lower", "upper"])
+def test_a_truncated_problem_is_written_with_its_bounds(tiny: Table, tmp_path: Path, leaves: Any) -> None:
+    """The file has the same MDP value; it is a bound on that of the whole task, whose file a part of all states is."""
+    assumed, values = Assumptions(gamma=0.9), list[float]()
+    for states in (3, 8, 100):
+        part = TruncatedTask.of(tiny, states=states)
+        problem = closed_problem(part, assumed)
+        assert problem.frontier is not None
+        problem = dataclasses.replace(
+            problem, frontier=dataclasses.replace(problem.frontier, upper=getattr(problem.frontier, leaves))
+        )
+        write_pomdp(problem, tmp_path / "part.pomdp", leaves=leaves)
+        flat, observed = Flat(tmp_path / "part.pomdp"), Observed.of(problem, leaves=leaves)
+        size, value = flat.transition.shape[1], np.zeros(flat.transition.shape[1])
+        transition = csr_array(flat.transition.reshape(-1, size))
+        for _ in range(400):
+            value = (flat.reward + flat.gamma * (transition @ value).reshape(-1, size)).max(axis=0)
+        expected = qmdp(problem, tolerance=1e-9).value_mdp[observed.state]
+        np.testing.assert_allclose(value.reshape(expected.shape), expected, atol=1e-7)
+        values.append(float((expected[problem.model.choices.initial] * problem.prior).sum()))
+        write_pomdpx(problem, tmp_path / "part.pomdpx", leaves=leaves)
+        tables = Pomdpx(tmp_path / "part.pomdpx").tables
+        for x in problem.frontier.states.tolist():
+            given = "nothing", f"s{x}", "b0", "t0"
+            bound = np.broadcast_to(
+                getattr(problem.frontier, leaves), (len(problem.frontier.states), *problem.prior.shape)
+            )
+            own = bound[problem.frontier.states.tolist().index(x), 0, 0]
+            assert tables["reward"][given] / (1 - 0.9) == pytest.approx(own)
+            assert tables["x_1"][*given, f"s{x}"] == 1
+    whole = qmdp(assumed.problem(Choices.of(tiny)), tolerance=1e-9)
+    exact = float((whole.value_mdp[tiny.initial] * whole.pomdp.prior).sum())
+    assert values[2] == pytest.approx(exact, abs=1e-7)
+    assert (sorted(values) if leaves == "lower" else sorted(values)[::-1]) == values
+    assert abs(values[0] - exact) > 0.1
+
+
+def test_a_part_is_exported_by_the_command(tmp_path: Path) -> None:
+    files = [tmp_path / f"{leaves}.pomdpx" for leaves in ("lower", "upper")]
+    for file in files:
+        done = invoke(
+            "export", KITTING / "tiny.pddl", "--set", "region_states=6", "--leaves", file.stem, "--out", file, "--json"
+        )
+        record = json.loads(done.stdout)
+        assert record["frontier"] > 0
+        assert record["states"] < 21
+    assert files[0].read_text() != files[1].read_text()
+    assert invoke("export", KITTING / "tiny.pddl", "--out", files[0], "--set", "region_states=6").exit_code == 0
+
+
 def test_what_cannot_be_written_is_refused(tiny_choices: Choices, tmp_path: Path) -> None:
-    pomdp = make(tiny_choices)
-    frontier = LeafBounds(np.array([0]), np.zeros((1, 1, 3)), np.zeros((1, 1, 1)))
-    for write in (write_pomdpx, write_pomdp):
-        with pytest.raises(ValueError, match="frontier"):
-            write(dataclasses.replace(pomdp, frontier=frontier), tmp_path / "problem")
+    with pytest.raises(ValueError, match="leaves 'middle'"):
+        write_pomdpx(make(tiny_choices), tmp_path / "problem", leaves="middle")  # type: ignore[arg-type]
     large = invoke("export", KITTING / "paper.pddl", "--format", "pomdp", "--out", tmp_path / "paper.pomdp")
     assert large.exit_code == 1
     assert large.stderr.count("\n") == 1
@@ -441,7 +491,8 @@ def test_export_command(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert json.loads(result.stdout) == {
         "instance": str(KITTING / "tiny.pddl"), "domain": str(KITTING / "domain.pddl"), "format": "pomdpx",
-        "out": str(out), "states": 21, "hidden": 60, "robot_actions": 5, "bytes": out.stat().st_size,
+        "out": str(out), "states": 21,
+        "frontier": 0, "hidden": 60, "robot_actions": 5, "bytes": out.stat().st_size,
     }  # fmt: skip
     assert Pomdpx(out).gamma == 0.9
     first = out.read_bytes()
