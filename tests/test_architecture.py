@@ -68,7 +68,7 @@ ROOMS = {
     "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
         participant_team roll teams events record cohort session csv_tables tables export
         forecast""",
-    "assist.studies.reports": """watched_episode policy_comparison wording
+    "assist.studies.reports": """watched_episode compared_policies policy_comparison wording
         report_files study_summary study_claims study_figures study_report userstudy_data
         userstudy_comparisons userstudy_summary preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures schemas watchers service authorization request_limits

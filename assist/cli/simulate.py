@@ -74,7 +74,7 @@ def simulate(
     from ..drawing.plots import style
     from ..drawing.plots.episode import episode_figure
     from ..live.trace_reasons import TraceReasons
-    from ..studies.reports.policy_comparison import comparison_of
+    from ..studies.reports.compared_policies import comparison_of
     from ..team.episode import plain_summary
     from ..team.episodes import Episodes
     from ..team.illustration import Illustration

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 from rich.table import Table
 
-from ...studies.reports.policy_comparison import Cells, PolicyComparison
+from ...studies.reports.compared_policies import Cells, PolicyComparison
 from ..terminal.console import print_table
 
 

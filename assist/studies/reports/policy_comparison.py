@@ -10,38 +10,29 @@ pool: other people would give other means. `run_study` draws several pools, and 
 
 from __future__ import annotations
 
-import html
-import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from inspect import signature
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from planner.system.errors import expected
 from planner.system.progress import Progress, Wanted, shows_progress
-from planner.system.results import Result, html_table
 
-from ...learning import statistics
-from ...learning.statistics import IntervalEstimate
 from ...people.arguments import Seed, entropy, positive, whole
-from ...people.decision import Floats
-from ...person.policy import not_worth_its_cost
 from ...person.robots import Robot
 from ...person.settings import Setting
-from ...team.episode import SHOWN
-from ...team.episodes import Episodes, Summary
+from ...team.episodes import Episodes
 from ...team.policies import by_name
 from ...team.pool import Pool, require_pool
 from ...team.simulate import simulate
 from ...team.state import TeamPolicy
+from .compared_policies import ComparedPolicy, PolicyComparison, baseline_of
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ...certify.certificate import Certificate
 
 SETTINGS = tuple(each.name for each in fields(Setting))
@@ -50,203 +41,8 @@ SETTINGS = tuple(each.name for each in fields(Setting))
 FIRST_PORTION = 64
 """Episodes of each policy in the first portion; later ones are twice as large as the one before."""
 
-Cells: TypeAlias = tuple[list[str], list[list[str]]]
-"""The head and the lines of a table that people see."""
-
-MEASURES = {"actions": "actions per person", "interventions": "interventions", "discounted_return": "return"}
-"""What is compared, a mean of `Summary`, with its name in tables."""
-
-DIFFERENCES = ("actions", "discounted_return")
-"""The measures whose differences tables show; the frame has all."""
-
-
-@dataclass(frozen=True)
-class ComparedPolicy:
-    """One policy under one condition.
-
-    Attributes
-    ----------
-    varied : number or str
-        The pool's key in `compare`; "" if there is one pool.
-    humans : int
-        Number of people in a team.
-    summary : Summary
-        Means over episodes with their standard errors. Where episodes were cut off, those of actions and of the return
-        are too small in size.
-    finished : float
-        Share of people who reached their goal.
-    means : dict of IntervalEstimate
-        Mean of each of `MEASURES` with its interval.
-    differences : dict of IntervalEstimate, or None
-        This policy minus the baseline in the same episodes, for each of `MEASURES`; None for the baseline itself.
-    certificate : Certificate or None
-        Distance to the best policy for the team of the first `humans` people of the pool in the robot's model; None
-        unless asked for.
-    """
-
-    varied: Any
-    humans: int
-    summary: Summary
-    finished: float
-    means: Mapping[str, IntervalEstimate]
-    differences: Mapping[str, IntervalEstimate] | None
-    certificate: Certificate | None = None
-
-    @property
-    def policy(self) -> str:
-        """The policy's name."""
-        return self.summary.policy
-
-    @classmethod
-    def of(
-        cls, run: Episodes, baseline: Episodes | None, level: float, varied: Any = "",
-        certificate: Certificate | None = None,
-    ) -> ComparedPolicy:  # fmt: skip
-        """Return the means of a policy's episodes, and the differences to a baseline's in the same episodes."""
-        own = {name: _each(run, name) for name in MEASURES}
-        differences = None
-        if baseline is not None:
-            differences = {name: statistics.mean(own[name] - _each(baseline, name), level) for name in MEASURES}
-        return cls(
-            varied=varied, humans=run.people.shape[1], summary=run.summary(), finished=float(run.finished.mean()),
-            means={name: statistics.mean(values, level) for name, values in own.items()}, differences=differences,
-            certificate=certificate,
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PolicyComparison(Result):
-    """Policies that were compared on common random numbers; a sequence of `ComparedPolicy`.
-
-    Attributes
-    ----------
-    rows : tuple of ComparedPolicy
-        By pool, then team size, then policy in the order given.
-    baseline : str
-        The policy that differences refer to.
-    varied : str
-        What the keys of the pools are; "" if there is one pool.
-    level : float
-        Confidence level of intervals.
-    """
-
-    rows: tuple[ComparedPolicy, ...]
-    baseline: str
-    varied: str
-    level: float
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def __iter__(self) -> Iterator[ComparedPolicy]:
-        return iter(self.rows)
-
-    def __getitem__(self, row: int) -> ComparedPolicy:
-        return self.rows[row]
-
-    def records(self) -> list[dict[str, Any]]:
-        """Return a row for each condition and policy; `to_frame` has the same.
-
-        Columns are the name that `compare` was given for the pools' keys, `humans`, `policy`, `episodes`,
-        `finished`, `cut_off`; for each of `MEASURES` the mean by its name, and the name with `_error` (standard error),
-        `_low` and `_high`; the same for the name with `_difference`, without an error; `costs` and `moves` with their
-        `_error`; and `upper` and `gap_percent` of certificates.
-        """
-        return [self._columns(row) for row in self.rows]
-
-    def _columns(self, row: ComparedPolicy) -> dict[str, Any]:
-        """Return a row of the frame."""
-        found: dict[str, Any] = {self.varied: row.varied} if self.varied else {}
-        found |= {"humans": row.humans, "policy": row.policy, "episodes": row.summary.episodes}
-        found |= {"finished": row.finished, "cut_off": row.summary.cut_off}
-        for name in MEASURES:
-            found |= {**_parts(name, row.means[name]), f"{name}_error": getattr(row.summary, name)[1]}
-            found |= _parts(f"{name}_difference", None if row.differences is None else row.differences[name])
-        for name in (name for name in SHOWN if name not in MEASURES):
-            found |= dict(zip((name, f"{name}_error"), getattr(row.summary, name), strict=True))
-        if row.certificate is not None:
-            found |= {"upper": row.certificate.upper, "gap_percent": row.certificate.gap_percent}
-        return found
-
-    def figure(self) -> Figure:
-        """Return a figure of the means, and under one condition of the differences; with the extra `plots`.
-
-        Raises
-        ------
-        MissingExtraError
-            matplotlib is not installed.
-        """
-        from ...drawing.plots.policies import comparison_figure
-
-        return comparison_figure(self)
-
-    def means(self) -> Cells:
-        """Return the head and the lines of the table of means, each with its standard error."""
-        shown = dict(SHOWN)
-        if all(row.summary.costs[0] == row.summary.actions[0] for row in self.rows):  # each action costs 1
-            del shown["costs"]
-        if any(row.summary.executions[0] for row in self.rows):  # otherwise all interventions are suggestions
-            shown |= {"suggestions": "suggestions", "executions": "executions"}
-        with_gap = any(row.certificate is not None for row in self.rows)
-        head = [*self._condition_head(), *(name.replace("_", " ") for name in shown.values()), "cut off"]
-        lines = [
-            [
-                *self._condition(row), *(_mean(*getattr(row.summary, name)) for name in shown),
-                f"{row.summary.cut_off}", *([_gap(row.certificate)] if with_gap else []),
-            ]
-            for row in self.rows
-        ]  # fmt: skip
-        return [*head, *(["gap to the optimum"] if with_gap else [])], lines
-
-    def differences(self) -> Cells:
-        """Return the head and the lines of the table of differences to the baseline, with their intervals."""
-        interval = f"({100 * self.level:g} % interval)"
-        head = [*self._condition_head()[:-1], f"difference to {self.baseline}"]
-        head += [f"{MEASURES[name]} {interval}" for name in DIFFERENCES]
-        lines = [
-            [*self._condition(row), *(shown_interval(row.differences[name]) for name in DIFFERENCES)]
-            for row in self.rows if row.differences is not None
-        ]  # fmt: skip
-        return head, lines
-
-    def notes(self) -> list[str]:
-        """Return a sentence for each policy and condition without suggestions, as none was worth its cost."""
-        return [
-            f"{', '.join(self._condition(row)[::-1])}: {not_worth_its_cost(row.summary.c_suggest_too_high)}"
-            for row in self.rows if row.summary.c_suggest_too_high is not None
-        ]  # fmt: skip
-
-    def note(self) -> str:
-        """Return the sentence below the table of means, which says what its numbers are."""
-        count = {row.summary.episodes for row in self.rows}
-        if count == {1}:
-            return "of one episode"
-        cut = "; those cut off count until the step limit" if any(row.summary.cut_off for row in self.rows) else ""
-        return f"mean ± standard error over {_range(count)} episodes{cut}"
-
-    def _condition_head(self) -> list[str]:
-        several = len({row.humans for row in self.rows}) > 1
-        return [*([self.varied] if self.varied else []), *(["humans"] if several else []), "policy"]
-
-    def _condition(self, row: ComparedPolicy) -> list[str]:
-        named = {self.varied: f"{row.varied}", "humans": f"{row.humans}", "policy": row.policy}
-        return [named[name] for name in self._condition_head()]
-
-    def __str__(self) -> str:
-        means, differences = (_lines(*cells) for cells in (self.means(), self.differences()))
-        below = [self.note(), *self.notes()]
-        return "\n".join([*means, *below, *(["", *differences] if len(differences) > 1 else [])])
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        means, differences = (
-            html_table([dict(enumerate(line)) for line in lines], head)
-            for head, lines in (self.means(), self.differences())
-        )
-        several = any(row.differences is not None for row in self.rows)
-        below = "".join(f"<p>{html.escape(line)}</p>" for line in [self.note(), *self.notes()])
-        return f"{means}{below}{differences * several}"
+GAP = 1e-3
+"""Relative gap to which each person's problem is solved for a bound, unless another is given."""
 
 
 @shows_progress
@@ -254,8 +50,8 @@ def compare(
     pool: Pool | Mapping[Any, Pool],
     policies: Iterable[str | TeamPolicy] | Mapping[str, str | TeamPolicy] | str | TeamPolicy, *,
     humans: int | Iterable[int] | Iterable[str] = 3, episodes: int = 500, seed: Seed = 0, baseline: str | None = None,
-    varied: str = "pool", level: float = 0.95, certified: bool = False, gap: float = 1e-3,
-    time_limit: float | None = None, jobs: int = 1, progress: Wanted = None, **options: Any,
+    varied: str = "pool", level: float = 0.95, certified: bool | float = False, time_limit: float | None = None,
+    progress: Wanted = None, **options: Any,
 ) -> PolicyComparison:  # fmt: skip
     """Simulate policies with the same people and random numbers, and compare their means.
 
@@ -276,20 +72,17 @@ def compare(
         What the keys of several pools are, such as "population": the name of a column and of an axis.
     level : float
         Confidence level of intervals.
-    certified : bool
-        Also compute an upper bound on the value of all policies, and each policy's gap to it, which takes longer.
-    gap : float
-        Relative gap to which each person's problem is solved for the bound, as in `upper_bound`.
+    certified : bool or float
+        Also compute an upper bound on the value of all policies, and each policy's gap to it, which takes longer. A
+        number is the relative gap to which each person's problem is solved for the bound, as in `upper_bound`.
     time_limit : float, optional
         Seconds after which no further portion of episodes begins. All policies have the same episodes.
-    jobs : int
-        Number of threads, as in `simulate`.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes.
     **options
         Fields of `Setting` in place of the pool's: a value, or for one of them a list of values, each of which is a
         condition with the same people, such as `c_suggest=[0.1, 1.0]`. And further arguments of `simulate`, such as
-        `goals` or `world`.
+        `jobs`, `goals` or `world`.
 
     Returns
     -------
@@ -313,51 +106,88 @@ def compare(
     if not named:
         raise ValueError("policies: expected at least one")
     teams = _teams(humans)
-    base = baseline or ("none" if "none" in named else next(iter(named)))
-    if base not in named:
-        raise ValueError(f"baseline {base!r}; {expected(base, list(named))}")
+    base = baseline_of(named, baseline)
     if not 0 < level < 1:
         raise ValueError(f"level {level}: expected a number between 0 and 1")
-    count, seed_number = whole("episodes", episodes, 1), entropy(seed)
-    limit = None if time_limit is None else positive("time_limit", time_limit)
-    conditions, own = len(pools) * len(teams), {name for name, policy in named.items() if not isinstance(policy, str)}
-    share = None if limit is None else limit / conditions / (1 + certified)
+    options["seed"] = entropy(seed)
+    gap = None if certified is False else positive("certified", GAP if certified is True else certified)
+    count, limit = whole("episodes", episodes, 1), None if time_limit is None else positive("time_limit", time_limit)
+    conditions = len(pools) * len(teams)
+    share = None if limit is None else limit / conditions / (1 if gap is None else 2)
+    comparing = _Comparing(named, base, level, count, gap, share, options)
     rows: list[ComparedPolicy] = []
-
-    def add(key: Any, one: Pool) -> None:
-        # What a policy computes about a person serves teams of any size.
-        made = {
-            name: policy if name in own else one.policy(policy, options.get("travel"))  # type: ignore[arg-type]
-            for name, policy in named.items()
-        }
+    for key, pool_of in pools.items():
+        one = pool_of()  # whose memory is free before the next one is made
+        made = comparing.policies_for(one)  # what a policy computes about a person serves teams of any size
         for team in teams:
             number = len(rows) // len(named) + 1
             tell = partial(_told, progress, f" ({number} of {conditions} conditions)" * (conditions > 1))
-            run = partial(simulate, one, humans=team, seed=seed_number, progress=tell, **options)
-            # A user's policy need not be ready for threads.
-            each = {
-                name: partial(run, policy=policy, name=name, jobs=1 if name in own else jobs)
-                for name, policy in made.items()
-            }
-            runs = _runs(each, count, share)
-            gaps: dict[str, Certificate] = {}
-            if certified:
-                from ...certify.comparison import certify  # which a comparison without bounds need not compile
-
-                them = range(team) if isinstance(team, int) else team
-                _, found = certify(
-                    one, made, team=them, episodes=max(count, 2), seed=seed_number, gap=gap, time_limit=share,
-                    progress=tell,
-                )  # fmt: skip
-                gaps = {certificate.policy: certificate for certificate in found}
-            rows.extend(
-                ComparedPolicy.of(run, None if name == base else runs[base], level, key, gaps.get(name))
-                for name, run in runs.items()
-            )
-
-    for key, pool_of in pools.items():
-        add(key, pool_of())  # whose memory is free before the next one is made
+            rows.extend(comparing.rows(key, one, made, team, tell))
+        del one, made
     return PolicyComparison(tuple(rows), base, varied, level)
+
+
+@dataclass(frozen=True)
+class _Comparing:
+    """What all conditions of a comparison share.
+
+    Attributes
+    ----------
+    named : dict of policies
+        By their names in tables.
+    baseline : str
+    level : float
+    episodes : int
+        Of each policy in each condition.
+    gap : float or None
+        That of bounds; None without any.
+    seconds : float or None
+        After which a condition begins no further portion of episodes.
+    options : dict
+        Further arguments of `simulate`.
+    """
+
+    named: Mapping[str, str | TeamPolicy]
+    baseline: str
+    level: float
+    episodes: int
+    gap: float | None
+    seconds: float | None
+    options: Mapping[str, Any]
+
+    def policies_for(self, pool: Pool) -> dict[str, TeamPolicy]:
+        """Return the policies for the people of a pool."""
+        travel = self.options.get("travel")
+        return {
+            name: pool.policy(policy, travel) if isinstance(policy, str) else policy
+            for name, policy in self.named.items()
+        }
+
+    def rows(
+        self, key: Any, pool: Pool, policies: Mapping[str, TeamPolicy], team: int | list[str], tell: Progress
+    ) -> Iterator[ComparedPolicy]:
+        """Yield the rows of a condition: of a pool, whose key is given, and a team."""
+        runs = {}
+        for name, policy in policies.items():
+            run = partial(simulate, pool, policy=policy, name=name, humans=team, progress=tell, **self.options)
+            # A user's policy need not be ready for threads.
+            runs[name] = run if isinstance(self.named[name], str) else partial(run, jobs=1)
+        found = _runs(runs, self.episodes, self.seconds)
+        gaps = {} if self.gap is None else self._certified(pool, policies, team, tell)
+        for name, own in found.items():
+            baseline = None if name == self.baseline else found[self.baseline]
+            yield ComparedPolicy.of(own, baseline, self.level, key, gaps.get(name))
+
+    def _certified(
+        self, pool: Pool, policies: Mapping[str, TeamPolicy], team: int | list[str], tell: Progress
+    ) -> dict[str, Certificate]:
+        from ...certify.comparison import certify  # which a comparison without bounds need not compile
+
+        _, found = certify(
+            pool, policies, team=range(team) if isinstance(team, int) else team, episodes=max(self.episodes, 2),
+            seed=self.options["seed"], gap=self.gap, time_limit=self.seconds, progress=tell,
+        )  # fmt: skip
+        return {certificate.policy: certificate for certificate in found}
 
 
 def _teams(humans: int | Iterable[int] | Iterable[str]) -> list[int | list[str]]:
@@ -409,35 +239,6 @@ def _is_several(value: Any) -> bool:
     return isinstance(value, list | tuple | range) and not any(isinstance(one, Robot) for one in value)
 
 
-def comparison_of(runs: Iterable[Episodes], *, baseline: str | None = None, level: float = 0.95) -> PolicyComparison:
-    """Compare policies whose episodes were simulated already, with the same people and random numbers.
-
-    Parameters
-    ----------
-    runs : iterable of Episodes
-        One for each policy.
-    baseline, level
-        As in `compare`.
-
-    Raises
-    ------
-    ValueError
-        There is none, the baseline is not among them, or they are not the same episodes of the same people.
-    """
-    every = {run.policy: run for run in runs}
-    if not every:
-        raise ValueError("runs: expected at least one")
-    base = baseline or ("none" if "none" in every else next(iter(every)))
-    if base not in every:
-        raise ValueError(f"baseline {base!r}; {expected(base, list(every))}")
-    for run in every.values():
-        same = np.array_equal(run.episode, every[base].episode) and np.array_equal(run.people, every[base].people)
-        if not same:
-            raise ValueError(f"{run.policy}: expected the same episodes and people as those of {base}")
-    rows = [ComparedPolicy.of(run, None if name == base else every[base], level) for name, run in every.items()]
-    return PolicyComparison(tuple(rows), base, "", level)
-
-
 def _runs(runs: Mapping[str, Callable[..., Episodes]], count: int, seconds: float | None) -> dict[str, Episodes]:
     """Return the same episodes of all policies, in growing portions if there is a time limit."""
     begun, done, size = time.perf_counter(), 0, count if seconds is None else FIRST_PORTION
@@ -452,50 +253,3 @@ def _runs(runs: Mapping[str, Callable[..., Episodes]], count: int, seconds: floa
 
 def _told(progress: Progress, where: str, what: str, done: int, total: int | None) -> None:
     progress(what + where, done, total)
-
-
-def _each(run: Episodes, name: str) -> Floats:
-    """Return a measure of each episode, shape (N,); the mean over people where it has one for each."""
-    values = np.asarray(getattr(run, name), dtype=float)
-    return values.mean(axis=1) if values.ndim == 2 else values
-
-
-def _parts(name: str, estimate: IntervalEstimate | None) -> dict[str, float]:
-    """Return the columns of an estimate; NaN where there is none."""
-    found = estimate or IntervalEstimate(math.nan)
-    return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
-
-
-def _mean(mean: float, error: float) -> str:
-    """Return a mean with its standard error, as tables show it; a single episode has no standard error."""
-    return f"{mean:.2f}" if math.isnan(error) else f"{mean:.2f} ± {error:.2f}"
-
-
-def _range(counts: set[int]) -> str:
-    return " to ".join(f"{count:,}" for count in sorted({min(counts), max(counts)}))
-
-
-def _lines(head: list[str], lines: list[list[str]]) -> list[str]:
-    """Return a table as lines of text; columns are aligned right after that of the policy."""
-    left = next(n for n, name in enumerate(head) if name == "policy" or name.startswith("difference to "))
-    width = [max(len(line[n]) for line in [head, *lines]) for n in range(len(head))]
-    return [
-        "  ".join(
-            cell.ljust(w) if n <= left else cell.rjust(w) for n, (cell, w) in enumerate(zip(line, width, strict=True))
-        ).rstrip()
-        for line in [head, *lines]
-    ]
-
-
-def shown_interval(estimate: IntervalEstimate) -> str:
-    """Return an estimate with its interval, as tables show it."""
-    if math.isnan(estimate.low):
-        return f"{estimate.value:.2f}"
-    return f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})"
-
-
-def _gap(certificate: Certificate | None) -> str:
-    """Return the distance to the best policy, as tables show it."""
-    if certificate is None:
-        return ""
-    return f"at most {certificate.gap_percent:.1f} %" if certificate.gap_percent >= 0 else "0 %, within the error"

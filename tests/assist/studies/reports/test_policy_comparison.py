@@ -134,7 +134,7 @@ def test_under_one_condition_the_figure_has_the_differences(pool: Pool) -> None:
 
 
 def test_the_gap_to_the_optimum_is_that_of_certify(pool: Pool) -> None:
-    found = compare(pool, ["none", "attention"], humans=1, episodes=30, seed=2, certified=True, gap=0.1)
+    found = compare(pool, ["none", "attention"], humans=1, episodes=30, seed=2, certified=0.1)
     bound, certificates = certify(pool, ["none", "attention"], team=[0], episodes=30, seed=2, gap=0.1)
     assert found.to_frame().upper.tolist() == [bound.upper] * 2
     assert [row.certificate for row in found] == certificates
