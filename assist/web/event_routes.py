@@ -6,7 +6,7 @@ import inspect
 import json
 import re
 from collections.abc import Mapping
-from functools import partial
+from functools import cache, partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Response
@@ -31,10 +31,16 @@ def event_routes(base: type[Event], views: Mapping[str, type[BaseModel]]) -> API
     views : mapping of str to type
         What is answered, by `Event.shows`.
     """
+    reported = [kind for kind in kinds(base).values() if kind.path is not None]
+    return _router(*((kind, views[kind.shows]) for kind in reported))
+
+
+@cache
+def _router(*reported: tuple[type[Event], type[BaseModel]]) -> APIRouter:
+    """Return requests that report events; they are the same for all services in a process."""
     router = APIRouter()
-    for kind in kinds(base).values():
-        if kind.path is not None:
-            _add(router, kind, views[kind.shows])
+    for kind, view in reported:
+        _add(router, kind, view)
     return router
 
 
