@@ -16,7 +16,7 @@ import json
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import wraps
+from functools import cache, wraps
 from numbers import Real
 from pathlib import Path
 from types import UnionType
@@ -91,6 +91,11 @@ class Beside:
     found: Callable[[Path, str], str] = lambda folder, text: str(folder / text)
 
 
+@dataclasses.dataclass(frozen=True)
+class Seldom:
+    """Marks a field of a view that its JSON has only where it differs from its default."""
+
+
 def _number(value: Any) -> float:
     try:
         if type(value) is not bool and isinstance(value, Real):
@@ -124,12 +129,14 @@ def _pair(value: Any) -> Any:
 
 
 Number = Annotated[float, BeforeValidator(_number), Kind("a number")]
+AnyNumber = Annotated[float, Field(allow_inf_nan=True), BeforeValidator(_number), Kind("a number")]
 Whole = Annotated[int, BeforeValidator(whole_number), Kind("a whole number")]
 Truth = Annotated[bool, BeforeValidator(_truth), Kind("true or false")]
 Count = Annotated[Whole, Field(ge=1)]
 Seed = Annotated[Whole, Field(ge=0)]
 Text = Annotated[str, Strict(), Field(min_length=1), Expected("a text")]
 Range = Annotated[tuple[Number, Number], BeforeValidator(_pair), Expected("two numbers, [low, high]")]
+AnyText = Annotated[str, Strict(), Expected("a text")]
 Texts = Annotated[tuple[Text, ...], Field(min_length=1), Expected("a list of texts")]
 Counts = Annotated[tuple[Count, ...], Field(min_length=1), Expected("a list of whole numbers of 1 or more")]
 AnyTable = Annotated[dict[str, Any], Strict(), Expected("a table")]
@@ -192,6 +199,38 @@ class DeclarationError(ValueError):
 
 UNKNOWN = {"unexpected_keyword_argument", "extra_forbidden"}
 MISSING = {"missing", "missing_argument"}
+
+
+class View:
+    """What is shown or told, with its JSON."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields in the types that JSON has; a number that is not finite is None."""
+        found: dict[str, Any] = _in_json(self)
+        return found
+
+
+@cache
+def _told(kind: Any) -> list[tuple[str, Any]]:
+    """Return the fields that the JSON of a view has, each with the value at which it is left out."""
+    return [
+        (name, default_of(kind, name) if Seldom() in field.metadata else dataclasses.MISSING)
+        for name, field in kind.__pydantic_fields__.items() if not field.exclude
+    ]  # fmt: skip
+
+
+def _in_json(value: Any) -> Any:
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, View):
+        kind: Any = type(value)
+        every = ((name, usual, getattr(value, name)) for name, usual in _told(kind))
+        return {name: _in_json(own) for name, usual, own in every if own != usual}
+    if isinstance(value, Mapping):
+        return {str(name): _in_json(own) for name, own in value.items()}
+    if isinstance(value, tuple | list):
+        return [_in_json(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @overload

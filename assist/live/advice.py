@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import Field
+
+from ..declare.declared import AnyNumber, AnyText, Seldom, Truth, View, Whole, declared
 from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.hidden_type import HiddenType
@@ -14,109 +17,133 @@ from ..people.spread import Spread
 from .explanation import Explanation
 
 
-@dataclass(frozen=True, slots=True)
-class Reason:
-    """The reason for helping a person: the numbers of Algorithm 1, also if the team has another policy.
+@declared
+class Reason(View):
+    """The reason for helping a person: the numbers of Algorithm 1, also if the team has another policy."""
 
-    Attributes
-    ----------
-    saving : float
-        Increase of the person's expected discounted return by the suggestion, compared with no suggestion in this
-        step, in cost units. The cost of the suggestion is included. While the robot is on its way, it is that of
-        the best suggestion at present.
-    moving : float
-        Cost of going there, in cost units.
-    score : float
-        `saving` minus `moving`.
-    beta, theta : float
-        Means of the belief about the person's expertise, and about the robot's influence on the person.
-    beta_interval, theta_interval : pair of float
-        Intervals that contain 90 % of the belief, and its mean.
-    suggestions, followed : int
-        Number of suggestions that the person has answered in this task, and number of those that were followed.
-    follow : float
-        Probability that the person follows this suggestion, under the belief.
-    follow_interval : pair of float
-        Interval that contains the mean, and 90 % of the probabilities of following, one for each pair of beta and
-        theta, weighted by the belief.
-    goals : mapping of str to float
-        Probability of each goal, if the person pursues one of several.
-    """
+    saving: Annotated[
+        AnyNumber,
+        Field(
+            description=(
+                "Increase of the person's expected discounted return by the suggestion, compared with no "
+                "suggestion in this step, in cost units. The cost of the suggestion is included. While the robot "
+                "is on its way, it is that of the best suggestion at present."
+            )
+        ),
+    ]
+    moving: Annotated[AnyNumber, Field(description="Cost of going there, in cost units.")]
+    score: Annotated[AnyNumber, Field(description="`saving` minus `moving`.")]
+    beta: Annotated[
+        AnyNumber,
+        Field(description=("Mean of the belief about the person's expertise.")),
+    ]
+    beta_interval: Annotated[
+        tuple[AnyNumber, AnyNumber],
+        Field(description=("Interval that contains 90 % of the belief, and its mean.")),
+    ]
+    theta: Annotated[
+        AnyNumber,
+        Field(description=("Mean of the belief about the robot's influence on the person.")),
+    ]
+    theta_interval: Annotated[
+        tuple[AnyNumber, AnyNumber],
+        Field(description=("Interval that contains 90 % of the belief, and its mean.")),
+    ]
+    suggestions: Annotated[
+        Whole,
+        Field(
+            description=(
+                "Number of suggestions that the person has answered in this task, and number of those that were "
+                "followed."
+            )
+        ),
+    ] = 0
+    followed: Annotated[
+        Whole,
+        Field(
+            description=(
+                "Number of suggestions that the person has answered in this task, and number of those that were "
+                "followed."
+            )
+        ),
+    ] = 0
+    follow: Annotated[
+        AnyNumber,
+        Field(description=("Probability that the person follows this suggestion, under the belief.")),
+    ] = 0.0
+    follow_interval: Annotated[
+        tuple[AnyNumber, AnyNumber],
+        Field(
+            description=(
+                "Interval that contains the mean, and 90 % of the probabilities of following, one for each pair "
+                "of beta and theta, weighted by the belief."
+            )
+        ),
+    ] = (0.0, 1.0)
+    goals: Annotated[
+        dict[str, AnyNumber],
+        Seldom(),
+        Field(description=("Probability of each goal, if the person pursues one of several.")),
+    ] = field(default_factory=dict, hash=False)
 
-    saving: float
-    moving: float
-    score: float
-    beta: float
-    beta_interval: tuple[float, float]
-    theta: float
-    theta_interval: tuple[float, float]
-    suggestions: int = 0
-    followed: int = 0
-    follow: float = 0.0
-    follow_interval: tuple[float, float] = (0.0, 1.0)
-    goals: Mapping[str, float] = field(default_factory=dict, hash=False)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the numbers as plain data; goals only if there are several."""
-        plain = {one.name: getattr(self, one.name) for one in fields(self)}
-        plain["goals"] = dict(self.goals)
-        return plain if self.goals else {name: value for name, value in plain.items() if name != "goals"}
+@declared
+class Question(View):
+    """A question to a person that is worth its cost; `Assistant.answer` takes the answer."""
 
-
-@dataclass(frozen=True)
-class Question:
-    """A question to a person that is worth its cost; `Assistant.answer` takes the answer.
-
-    Attributes
-    ----------
-    person : str
-    goal : str or None
-        The robot asks "is this your goal?"; None if it asks "what did you do last?".
-    options : tuple of str
-        The actions that the person may have taken last, the most probable first.
-    worth : float
-        Worth of the answer minus the cost of the question, in cost units.
-    """
-
-    person: str
-    goal: str | None
-    options: tuple[str, ...]
-    worth: float
+    person: AnyText
+    goal: Annotated[
+        AnyText | None,
+        Field(description=('The robot asks "is this your goal?"; None if it asks "what did you do last?".')),
+    ]
+    options: Annotated[
+        tuple[AnyText, ...],
+        Field(description=("The actions that the person may have taken last, the most probable first.")),
+    ]
+    worth: Annotated[AnyNumber, Field(description="Worth of the answer minus the cost of the question, in cost units.")]
 
     @property
     def kind(self) -> str:
         """What is asked about: "goal" or "action"."""
         return "action" if self.goal is None else "goal"
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the question as plain data."""
-        return {"person": self.person, "goal": self.goal, "options": list(self.options), "worth": self.worth}
 
+@declared
+class Advice(View):
+    """The next step of the robot."""
 
-@dataclass(frozen=True)
-class Advice:
-    """The next step of the robot.
-
-    Attributes
-    ----------
-    person : str or None
-        The person to whom the robot goes; None if no suggestion is worth its cost.
-    suggestion : str or None
-        The action that the robot suggests to this person, in PDDL; None while it is on its way or only waits there.
-    reason : Reason or None
-        None if `person` is None.
-    arrived : bool
-        Whether the robot is there. If travel takes time, it is False until `Assistant.arrived` is called.
-    question : Question or None
-        What the robot asks anybody of the team before that, if the setting has a cost of questions (`c_ask`). With
-        several robots it is in the advice of the first.
-    """
-
-    person: str | None
-    suggestion: str | None
-    reason: Reason | None
-    arrived: bool
-    question: Question | None = None
+    person: Annotated[
+        AnyText | None,
+        Field(description=("The person to whom the robot goes; None if no suggestion is worth its cost.")),
+    ]
+    suggestion: Annotated[
+        AnyText | None,
+        Field(
+            description=(
+                "The action that the robot suggests to this person, in PDDL; None while it is on its way or only "
+                "waits there."
+            )
+        ),
+    ]
+    reason: Annotated[Reason | None, Field(description="None if `person` is None.")]
+    arrived: Annotated[
+        Truth,
+        Field(
+            description=(
+                "Whether the robot is there. If travel takes time, it is False until `Assistant.arrived` is called."
+            )
+        ),
+    ]
+    question: Annotated[
+        Question | None,
+        Seldom(),
+        Field(
+            description=(
+                "What the robot asks anybody of the team before that, if the setting has a cost of questions "
+                "(`c_ask`). With several robots it is in the advice of the first."
+            )
+        ),
+    ] = None
 
     def asking(self, question: Question | None) -> Advice:
         """Return the advice with a question, and with the same source of its explanation."""
@@ -142,12 +169,6 @@ class Advice:
         if source is None:
             raise ValueError("this advice is from a record, and has no explanation; `Assistant.explain` gives one")
         return source()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the advice as plain data; a question only if there is one."""
-        plain: dict[str, Any] = {name: getattr(self, name) for name in ("person", "suggestion", "reason", "arrived")}
-        plain["reason"] = None if self.reason is None else self.reason.as_dict()
-        return plain if self.question is None else plain | {"question": self.question.as_dict()}
 
     def __getstate__(self) -> dict[str, Any]:
         return {one.name: getattr(self, one.name) for one in fields(self)}

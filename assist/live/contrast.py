@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from planner import CostToGo
 
+from ..declare.declared import AnyNumber, AnyText, Truth, View, declared
 from ..people.action_names import Matcher, words_of
 from ..people.choices import Choices
 from ..people.decision import same_cost
@@ -37,64 +38,76 @@ Unit = Literal["actions", "cost"]
 Kind = Literal["needed", "possible", "same", "no-closer", "further", "longer", "dead-end"]
 
 
-@dataclass(frozen=True, slots=True)
-class Consequence:
-    """Consequences of an action taken instead of a step.
+@declared
+class Consequence(View):
+    """Consequences of an action taken instead of a step."""
 
-    Attributes
-    ----------
-    kind : str
-        "needed": every optimal continuation after the alternative has `action`, more often than some optimal
-        continuation after the step (the step included).
-        "possible": some optimal continuation after the alternative has `action`, and the given one after the step has
-        it less often.
-        "same": both lead to the same state, at different costs.
-        "no-closer", "further": h* is equal, or larger, after the alternative than before it.
-        "longer": the alternative costs no more, but a cheapest plan that begins with it has more actions.
-        "dead-end": the goal cannot be reached after the alternative.
-    action : str or None
-        In PDDL notation; None for all other kinds.
-    again : bool
-        Whether the action also occurs in all that is done otherwise, less often: as the alternative itself, as the
-        step, or in `instead`.
-    after : tuple of str
-        An optimal continuation after the alternative. It has `action` as early as possible.
-    instead : tuple of str
-        An optimal continuation after the step. It has `action` as rarely as possible.
-    """
+    kind: Annotated[
+        Kind,
+        Field(
+            description=(
+                '"needed": every optimal continuation after the alternative has `action`, more often than some '
+                'optimal continuation after the step (the step included). "possible": some optimal continuation '
+                'after the alternative has `action`, and the given one after the step has it less often. "same": '
+                'both lead to the same state, at different costs. "no-closer", "further": h* is equal, or larger,'
+                ' after the alternative than before it. "longer": the alternative costs no more, but a cheapest '
+                'plan that begins with it has more actions. "dead-end": the goal cannot be reached after the '
+                "alternative."
+            )
+        ),
+    ]
+    action: Annotated[AnyText | None, Field(description="In PDDL notation; None for all other kinds.")] = None
+    again: Annotated[
+        Truth,
+        Field(
+            description=(
+                "Whether the action also occurs in all that is done otherwise, less often: as the alternative "
+                "itself, as the step, or in `instead`."
+            )
+        ),
+    ] = False
+    after: Annotated[
+        tuple[AnyText, ...],
+        Field(description=("An optimal continuation after the alternative. It has `action` as early as possible.")),
+    ] = ()
+    instead: Annotated[
+        tuple[AnyText, ...],
+        Field(description=("An optimal continuation after the step. It has `action` as rarely as possible.")),
+    ] = ()
 
-    kind: Kind
-    action: str | None = None
-    again: bool = False
-    after: tuple[str, ...] = ()
-    instead: tuple[str, ...] = ()
 
+@declared
+class Contrast(View):
+    """A step compared with another action in the same state."""
 
-@dataclass(frozen=True, slots=True)
-class Contrast:
-    """A step compared with another action in the same state.
-
-    Attributes
-    ----------
-    step, alternative : str
-        In PDDL notation.
-    difference : float
-        By how much the best plan that begins with the alternative costs more than the best one that begins with the
-        step. Negative if it costs less; infinite if the goal cannot be reached after the alternative.
-    unit : "actions" or "cost"
-        Actions if every action of the task costs 1.
-    consequence : Consequence or None
-        None if the alternative is as good or better, or if no consequence is simpler than the difference itself.
-    probability : float or None
-        How likely the person is to choose the alternative without a suggestion, if that is known.
-    """
-
-    step: str
-    alternative: str
-    difference: float
-    unit: Unit
-    consequence: Consequence | None
-    probability: float | None = None
+    step: Annotated[AnyText, Field(description="In PDDL notation.")]
+    alternative: Annotated[AnyText, Field(description="In PDDL notation.")]
+    difference: Annotated[
+        AnyNumber,
+        Field(
+            description=(
+                "By how much the best plan that begins with the alternative costs more than the best one that "
+                "begins with the step. Negative if it costs less; infinite if the goal cannot be reached after "
+                "the alternative."
+            )
+        ),
+    ]
+    unit: Annotated[Unit, Field(description="Actions if every action of the task costs 1.")]
+    consequence: Annotated[
+        Consequence | None,
+        Field(
+            description=(
+                "None if the alternative is as good or better, or if no consequence is simpler than the "
+                "difference itself."
+            )
+        ),
+    ]
+    probability: Annotated[
+        AnyNumber | None,
+        Field(
+            description=("How likely the person is to choose the alternative without a suggestion, if that is known.")
+        ),
+    ] = None
 
 
 Say = Callable[[str], str]

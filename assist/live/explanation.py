@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import field, replace
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from ..declare.catalogue import FIRST, Catalogue, catalogue
+from ..declare.declared import AnyNumber, AnyText, Seldom, Truth, View, declared
 from .contrast import Contrast
 
 Cause = Literal[
@@ -21,58 +24,57 @@ Cause = Literal[
 """Why nothing is suggested; see `WhyNothing`."""
 
 
-@dataclass(frozen=True, slots=True)
-class WhyStep:
-    """Why a step is suggested.
+@declared
+class WhyStep(View):
+    """Why a step is suggested."""
 
-    Attributes
-    ----------
-    step : str
-        In PDDL notation.
-    alone : float
-        How likely the person is to choose it without a suggestion, under the belief.
-    likely : Contrast or None
-        The step against the action that the person is most likely to choose among those that are worse; if none is
-        worse, among all others. None if there is no other.
-    goal : str or None
-        The goal to which the comparisons refer, if the person pursues one of several.
-    goal_probability : float
-        How probable this goal is.
-    """
+    step: Annotated[AnyText, Field(description="In PDDL notation.")]
+    alone: Annotated[
+        AnyNumber,
+        Field(description=("How likely the person is to choose it without a suggestion, under the belief.")),
+    ]
+    likely: Annotated[
+        Contrast | None,
+        Field(
+            description=(
+                "The step against the action that the person is most likely to choose among those that are worse;"
+                " if none is worse, among all others. None if there is no other."
+            )
+        ),
+    ]
+    goal: Annotated[
+        AnyText | None,
+        Seldom(),
+        Field(description=("The goal to which the comparisons refer, if the person pursues one of several.")),
+    ] = None
+    goal_probability: Annotated[AnyNumber, Seldom(), Field(description="How probable this goal is.")] = 1.0
 
-    step: str
-    alone: float
-    likely: Contrast | None
-    goal: str | None = None
-    goal_probability: float = 1.0
 
+@declared
+class Prospect(View):
+    """What a suggestion to a person is expected to bring."""
 
-@dataclass(frozen=True, slots=True)
-class Prospect:
-    """What a suggestion to a person is expected to bring.
-
-    Attributes
-    ----------
-    person : str or None
-        None where it is not said who it is.
-    action : str or None
-        The best suggestion; None where it is not said.
-    worth : float
-        By how much it lowers the person's expected discounted cost, in cost units, before its own cost.
-    cost : float
-        Cost of the suggestion, in cost units.
-    moving : float
-        Cost of the robot's way to the person, in cost units.
-    seen : float
-        By how much it is expected to lower the cost of those who see it, in cost units, if the policy considers them.
-    """
-
-    person: str | None
-    action: str | None
-    worth: float
-    cost: float
-    moving: float
-    seen: float = 0.0
+    person: Annotated[AnyText | None, Field(description="None where it is not said who it is.")]
+    action: Annotated[AnyText | None, Field(description="The best suggestion; None where it is not said.")]
+    worth: Annotated[
+        AnyNumber,
+        Field(
+            description=(
+                "By how much it lowers the person's expected discounted cost, in cost units, before its own cost."
+            )
+        ),
+    ]
+    cost: Annotated[AnyNumber, Field(description="Cost of the suggestion, in cost units.")]
+    moving: Annotated[AnyNumber, Field(description="Cost of the robot's way to the person, in cost units.")]
+    seen: Annotated[
+        AnyNumber,
+        Field(
+            description=(
+                "By how much it is expected to lower the cost of those who see it, in cost units, if the policy "
+                "considers them."
+            )
+        ),
+    ] = 0.0
 
     @property
     def score(self) -> float:
@@ -85,131 +87,101 @@ class Prospect:
         return self.worth + self.seen - self.moving
 
 
-@dataclass(frozen=True, slots=True)
-class Sight:
-    """What a person saw last of a suggestion to a neighbour, in their present task.
+@declared
+class Sight(View):
+    """What a person saw last of a suggestion to a neighbour, in their present task."""
 
-    Attributes
-    ----------
-    person : str
-    neighbour : str or None
-        None where it is not said who it is.
-    followed : bool
-        Whether the neighbour followed the suggestion.
-    """
-
-    person: str
-    neighbour: str | None
-    followed: bool
+    person: AnyText
+    neighbour: Annotated[AnyText | None, Field(description="None where it is not said who it is.")]
+    followed: Annotated[Truth, Field(description="Whether the neighbour followed the suggestion.")]
 
 
-@dataclass(frozen=True, slots=True)
-class WhyPerson:
-    """Why a person is helped now.
-
-    Attributes
-    ----------
-    prospect : Prospect
-    here : bool
-        Whether the robot was with the person before.
-    arrived : bool
-        Whether it is there.
-    others : tuple of Prospect
-        The other people who could be helped, the largest score first.
-    rule : str
-        Name of the team's policy.
-    saw : Sight or None
-        What the person saw last of a neighbour.
-    """
+@declared
+class WhyPerson(View):
+    """Why a person is helped now."""
 
     prospect: Prospect
-    here: bool
-    arrived: bool
-    others: tuple[Prospect, ...]
-    rule: str
-    saw: Sight | None = None
+    here: Annotated[Truth, Field(description="Whether the robot was with the person before.")]
+    arrived: Annotated[Truth, Field(description="Whether it is there.")]
+    others: Annotated[
+        tuple[Prospect, ...],
+        Field(description=("The other people who could be helped, the largest score first.")),
+    ]
+    rule: Annotated[AnyText, Field(description="Name of the team's policy.")]
+    saw: Annotated[Sight | None, Seldom(), Field(description="What the person saw last of a neighbour.")] = None
 
 
-@dataclass(frozen=True, slots=True)
-class WhyQuestion:
-    """Why a question is asked before anything is suggested.
+@declared
+class WhyQuestion(View):
+    """Why a question is asked before anything is suggested."""
 
-    Attributes
-    ----------
-    person : str
-    goal : str or None
-        The goal that is asked about; None for the last action.
-    worth : float
-        Expected worth of the answer minus the cost of the question, in cost units.
-    """
-
-    person: str
-    goal: str | None
-    worth: float
+    person: AnyText
+    goal: Annotated[AnyText | None, Field(description="The goal that is asked about; None for the last action.")]
+    worth: Annotated[
+        AnyNumber,
+        Field(description=("Expected worth of the answer minus the cost of the question, in cost units.")),
+    ]
 
 
-@dataclass(frozen=True, slots=True)
-class WhyNothing:
-    """Why nothing is suggested, and what would have to change.
+@declared
+class WhyNothing(View):
+    """Why nothing is suggested, and what would have to change."""
 
-    Attributes
-    ----------
-    reason : str
-        "paused": suggestions are paused. "never": the team's policy makes none. "finished", "probably-finished": the
-        person has reached the goal, or probably has. "nobody": no one is at work. "waiting": everybody at work has a
-        suggestion. "asked": a question is open. "no-mistake", "mistake-elsewhere": the policy "reactive" helps after
-        mistakes, and there was none, or the robot is with another person. "no-step": there is no step to suggest.
-        "cost": the suggestion is expected to save less than it costs, or the policy considers more than that.
-    rule : str
-        Name of the team's policy.
-    prospect : Prospect or None
-        The best suggestion, if the reason is "cost".
-    exact : bool
-        Whether the policy makes this suggestion exactly if its cost is below `prospect.threshold`.
-    elsewhere : bool
-        Whether the robot's attention is with another person.
-    about : str or None
-        The person who is asked about; None for the whole team.
-    question : WhyQuestion or None
-        The open question, if the reason is "asked".
-    """
+    reason: Annotated[
+        Cause,
+        Field(
+            description=(
+                '"paused": suggestions are paused. "never": the policy of the team makes none. "finished", "probably-'
+                'finished": the person has reached the goal, or probably has. "nobody": no one is at work. '
+                '"waiting": everybody at work has a suggestion. "asked": a question is open. "no-mistake", '
+                '"mistake-elsewhere": the policy "reactive" helps after mistakes, and there was none, or the '
+                'robot is with another person. "no-step": there is no step to suggest. "cost": the suggestion is '
+                "expected to save less than it costs, or the policy considers more than that."
+            )
+        ),
+    ]
+    rule: Annotated[AnyText, Field(description="Name of the team's policy.")]
+    prospect: Annotated[Prospect | None, Field(description='The best suggestion, if the reason is "cost".')] = None
+    exact: Annotated[
+        Truth,
+        Field(
+            description=("Whether the policy makes this suggestion exactly if its cost is below `prospect.threshold`.")
+        ),
+    ] = False
+    elsewhere: Annotated[Truth, Field(description="Whether the robot's attention is with another person.")] = False
+    about: Annotated[AnyText | None, Field(description="Who is asked about; None for the whole team.")] = None
+    question: Annotated[
+        WhyQuestion | None,
+        Seldom(),
+        Field(description=('The open question, if the reason is "asked".')),
+    ] = None
 
-    reason: Cause
-    rule: str
-    prospect: Prospect | None = None
-    exact: bool = False
-    elsewhere: bool = False
-    about: str | None = None
-    question: WhyQuestion | None = None
 
+@declared
+class Explanation(View):
+    """Why the robot suggests what it does, or nothing."""
 
-@dataclass(frozen=True)
-class Explanation:
-    """Why the robot suggests what it does, or nothing.
-
-    Attributes
-    ----------
-    step : WhyStep or None
-        Why this step; None without a suggestion.
-    now : WhyPerson or None
-        Why this person, now; None if no person is attended to.
-    nothing : WhyNothing or None
-        Why nothing is suggested.
-    against : Contrast or None
-        The step against an action that was asked about.
-    words : mapping of str to str
-        Actions in the domain's own words, as far as it has them.
-    state_probability : float
-        How probable the task state is for which steps are compared, the most probable one. Expected savings are
-        averages over all states.
-    """
-
-    step: WhyStep | None = None
-    now: WhyPerson | None = None
-    nothing: WhyNothing | None = None
-    against: Contrast | None = None
-    words: Mapping[str, str] = field(default_factory=dict, repr=False)
-    state_probability: float = 1.0
+    step: Annotated[WhyStep | None, Field(description="Why this step; None without a suggestion.")] = None
+    now: Annotated[
+        WhyPerson | None,
+        Field(description=("Why this person, now; None if no person is attended to.")),
+    ] = None
+    nothing: Annotated[WhyNothing | None, Field(description="Why nothing is suggested.")] = None
+    against: Annotated[Contrast | None, Field(description="The step against an action that was asked about.")] = None
+    words: Annotated[
+        Mapping[str, str],
+        Field(exclude=True, description=("Actions in the domain's own words, as far as it has them.")),
+    ] = field(default_factory=dict, repr=False)
+    state_probability: Annotated[
+        AnyNumber,
+        Seldom(),
+        Field(
+            description=(
+                "How probable the task state is for which steps are compared, the most probable one. Expected "
+                "savings are averages over all states."
+            )
+        ),
+    ] = 1.0
 
     def sentences(self, language: str = FIRST) -> list[str]:
         """Return the explanation as sentences.
@@ -229,27 +201,6 @@ class Explanation:
     def text(self, language: str = FIRST) -> str:
         """Return the explanation as one text; arguments as in `sentences`."""
         return " ".join(self.sentences(language))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the data in the types that JSON has; an infinite difference is None."""
-        plain: dict[str, Any] = {
-            name: None if part is None else asdict(part)
-            for name, part in (
-                ("step", self.step), ("now", self.now), ("nothing", self.nothing), ("against", self.against)
-            )
-        }  # fmt: skip
-        if self.step is not None and self.step.goal is None:
-            del plain["step"]["goal"], plain["step"]["goal_probability"]
-        if self.nothing is not None and self.nothing.question is None:
-            del plain["nothing"]["question"]
-        if self.now is not None and self.now.saw is None:
-            del plain["now"]["saw"]
-        if self.state_probability < 1:
-            plain["state_probability"] = self.state_probability
-        for one in (plain["against"], (plain["step"] or {}).get("likely")):
-            if one is not None and not math.isfinite(one["difference"]):
-                one["difference"] = None
-        return plain
 
     @property
     def actions(self) -> tuple[str, ...]:

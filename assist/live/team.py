@@ -25,7 +25,7 @@ from ..people.goals import Goals
 from ..people.ranges import Population
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
-from .advice import Advice, PersonState, Reason
+from .advice import Advice, PersonState
 from .desk import IDLE, Desk
 from .event_base import Event, TeamEvent
 from .events import Elapsed, Left, kinds
@@ -201,7 +201,7 @@ class Team(History[TeamRecord]):
         return {
             "person": known.person, "task": entry.tasks[-1], "present": known.present, "paused": self.paused,
             "applicable": list(known.applicable), "suggestion": known.suggestion,
-            "reason": _plain(entry.reason) if known.suggestion is not None else None,
+            "reason": entry.reason.as_dict() if known.suggestion is not None and entry.reason is not None else None,
             "cost_to_go": _finite(known.cost_to_go), "steps": known.steps, "finished": known.finished,
             "explained": True, "seq": entry.seq,
             **({"state_probability": known.states[known.state]} if known.states else {}),
@@ -267,7 +267,7 @@ class Team(History[TeamRecord]):
         here, advice = self.desk.robots[number - 1], self.advices[number - 1]
         errand: dict[str, Any] = {"person": None, "suggestion": None, "reason": None, "arrived": True}
         if not self.paused and advice.person is not None:
-            errand = advice.as_dict() | {"reason": _plain(advice.reason)}
+            errand = advice.as_dict()
         elif not self.paused and here is not None and self.desk.is_present(here) and self._attends(here) == number - 1:
             known = self.person(here)
             if known["suggestion"] is not None:
@@ -288,13 +288,6 @@ class Team(History[TeamRecord]):
         if task is not None:
             self.desk.require_task(task)
         return [row for row in self.desk.log() if task in (None, row["task"])]
-
-
-def _plain(reason: Reason | None) -> dict[str, Any] | None:
-    """Return a reason in the types that JSON has."""
-    if reason is None:
-        return None
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in reason.as_dict().items()}
 
 
 def _finite(cost: float) -> float | None:

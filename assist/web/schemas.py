@@ -6,9 +6,9 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
-from ..live.advice import Reason
-from ..live.contrast import Consequence
-from ..live.explanation import WhyNothing, WhyPerson
+from ..live.advice import Question, Reason
+from ..live.contrast import Contrast
+from ..live.explanation import WhyNothing, WhyPerson, WhyStep
 
 
 class Erased(BaseModel):
@@ -50,15 +50,6 @@ class Me(BaseModel):
     operator: bool
 
 
-class Asked(BaseModel):
-    """A question: "is this your goal?", or "what did you do last?" if there is no goal, with the likely actions."""
-
-    person: str
-    goal: str | None
-    options: list[str]
-    worth: float = Field(description="Expected worth of the answer minus the cost of the question, in cost units.")
-
-
 class GoalAnswer(BaseModel):
     """A person's answer to "is this your goal?"."""
 
@@ -87,7 +78,7 @@ class Person(BaseModel):
     state_probability: float | None = Field(
         None, description="Probability of the state that is shown, the most probable one, after doubtful actions."
     )
-    question: Asked | None = Field(None, description="The open question to the person, if there is one.")
+    question: Question | None = Field(None, description="The open question to the person, if there is one.")
     answered: GoalAnswer | None = Field(None, description="The last answer about the goal of this task, if any.")
 
 
@@ -109,33 +100,14 @@ class Drawn(BaseModel):
     seq: int
 
 
-class Compared(BaseModel):
-    """A step against another action. `difference` is null if the goal cannot be reached after the alternative."""
-
-    step: str
-    alternative: str
-    difference: float | None
-    unit: str
-    consequence: Consequence | None
-    probability: float | None
-
-
-class Suggested(BaseModel):
-    """Why a step is suggested: the probability of it without a suggestion, and the likeliest worse action."""
-
-    step: str
-    alone: float
-    likely: Compared | None
-
-
 class Explained(BaseModel):
     """Why there is this suggestion for this person now, or none: sentences, and their data."""
 
     sentences: list[str]
-    step: Suggested | None
+    step: WhyStep | None
     now: WhyPerson | None
     nothing: WhyNothing | None
-    against: Compared | None
+    against: Contrast | None
     state_probability: float = Field(1.0, description="Probability of the task state for which steps are compared.")
     seq: int
 
@@ -157,7 +129,9 @@ class Robot(BaseModel):
     arrived: bool
     location: str | None
     seq: int
-    questions: list[Asked] = Field(default_factory=list, description="The open questions, in the first robot's view.")
+    questions: list[Question] = Field(
+        default_factory=list, description="The open questions, in the first robot's view."
+    )
 
 
 class Member(Person):
