@@ -277,7 +277,7 @@ class TeamEnv(gymnasium.Env):
         if number.size != robots or not ((number >= 0) & (number < self._desk.actions)).all():
             each = f", for each of {robots} robots" * (robots > 1)
             raise ValueError(f"action {action}: expected 0 to {self._desk.actions - 1}{each}")
-        number, before = number.reshape(1, robots), teams.x[0].copy()
+        number, before = number.reshape(1, robots), teams.row[0].copy()
         illegal, (robot, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number)
         if self.render_mode is not None:
             self._remember(before, robot[0], slot[0])

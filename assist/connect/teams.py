@@ -7,7 +7,6 @@ team has its own clock, so that one team may begin an episode while others conti
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
 from ..people.ranges import Population
 from ..person.beliefs import Seen
+from ..person.pomdp import AssistPOMDP
 from ..person.settings import Setting
 from ..team.beginning import Beginning, Beginnings
 from ..team.common_random_numbers import CommonRandomNumbers
@@ -27,7 +27,8 @@ from ..team.model_group import ModelGroup, World
 from ..team.pool import MAX_ENUMERATED, Pool
 from ..team.robots_at_work import RobotsAtWork
 from ..team.schedule import Schedule
-from ..team.state import BASE, NOBODY, TeamAction, TeamState
+from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
+from ..team.task_view import RowsOfPeople
 
 if TYPE_CHECKING:
     from planner import AnyTask
@@ -69,7 +70,7 @@ class PoolSource:
         else:
             self._waits, self._size = True, max(12, humans)
             if not isinstance(instance, Table):
-                instance = sweep(task_of(instance), max_states=MAX_ENUMERATED)
+                instance = sweep(task_of(instance))
             self._table = instance
             self.pool = self._sample(0)
         self.pool.setting.require_questions(1)
@@ -88,8 +89,8 @@ class PoolSource:
         return True
 
 
-class WholeTasks:
-    """The tasks of people who are all on enumerated tasks, as `team.engine.Tasks` has them; people may come and go.
+class TasksOfPool(RowsOfPeople):
+    """The tasks of the people of a pool, as `team.engine.Tasks` has them; people may come and go.
 
     Parameters
     ----------
@@ -97,30 +98,19 @@ class WholeTasks:
     world : World
     shape : pair of int
         N and K.
-
-    Raises
-    ------
-    ValueError
-        The pool is of a truncated task.
     """
 
     def __init__(self, pool: Pool, world: World, shape: tuple[int, int]) -> None:
-        for policy in pool.policies:
-            policy.require_enumerated("pool", "an environment has a fixed number of states and actions")
-        self.policies, self._of_people = pool.policies, world == "people"
+        super().__init__(pool.policies, np.zeros(shape, dtype=np.int64))
+        self._of_people = world == "people"
         self.groups = {number: ModelGroup(pool, number, world) for number in range(len(pool.policies))}
         self._first = np.sum([group.row for group in self.groups.values()], axis=0)
-        self.model, self.who = np.zeros((2, *shape), dtype=np.int64)
+        self.who = np.zeros(shape, dtype=np.int64)
 
     def begin(self, teams: Ints, people: Ints, began: Beginning) -> None:
         """Let people begin in some teams, given by their numbers in the pool, shape (m, K)."""
         self.model[teams] = began.model
         self.who[teams] = self._first[people] + began.goal if self._of_people else began.mind
-
-    def rows(self, places: Ints, active: Ints) -> Ints:
-        """Return the row of each person, which is the place."""
-        del active
-        return places
 
 
 class AllTeams:
@@ -148,11 +138,6 @@ class Teams:
         As in `TeamState`; None without `filters`.
     location : int array, shape (N, M)
         Where each robot is or is going.
-
-    Raises
-    ------
-    ValueError
-        The pool is of a truncated task.
     """
 
     def __init__(
@@ -167,7 +152,7 @@ class Teams:
     ) -> None:
         pool.setting.require_all_seen("an environment")
         shape = (teams, places)
-        self.pool, self._beginnings, self._tasks = pool, Beginnings(pool, world), WholeTasks(pool, world, shape)
+        self.pool, self._beginnings, self._tasks = pool, Beginnings(pool, world), TasksOfPool(pool, world, shape)
         self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
         self._prior = np.array([policy.pomdp.prior for policy in pool.policies])
         self.people, self.model = np.zeros(shape, dtype=np.int64), self._tasks.model
@@ -195,6 +180,12 @@ class Teams:
     def clock(self) -> Ints:
         """The number of steps of each episode so far, shape (N,)."""
         return self.engine.clock
+
+    @property
+    def row(self) -> Ints:
+        """The row of each person who has not finished in the problem of their policy, shape (N, K)."""
+        self.engine.now  # noqa: B018  # renews the rows
+        return self.engine.people.row
 
     def draw_from(self, draws: CommonRandomNumbers) -> None:
         """Take the random numbers of all that happens from these, from now on."""
@@ -276,84 +267,110 @@ class Sight:
         H and T, the shape of a belief.
     largest : float
         The value that stands for the infinite cost-to-go of a dead end: 1 above the largest finite one (cost units).
+
+    Raises
+    ------
+    ValueError
+        States are solved on demand: an environment has a fixed number of states and of actions.
     """
 
     def __init__(self, teams: Teams, *, beliefs: bool) -> None:
         self.teams, self.beliefs = teams, beliefs
-        pomdps = [policy.pomdp for policy in teams.pool.policies]
+        self._policies = teams.pool.policies
+        extents = [policy.extent for policy in self._policies]
+        pomdps = [policy.pomdp for policy in self._policies]
         self.hidden, self._prior = pomdps[0].prior.shape, np.array([pomdp.prior for pomdp in pomdps])
-        lengths = [len(pomdp.robot_actions) for pomdp in pomdps]
-        self.robots = max(pomdp.suggested.shape[1] for pomdp in pomdps)
-        self.states, self.models = max(lengths), len(pomdps)
-        self._offset = np.cumsum([0, *lengths[:-1]])
-        self._count = np.concatenate([pomdp.robot_actions for pomdp in pomdps])
-        h = np.concatenate([pomdp.model.choices.goals.h for pomdp in pomdps], axis=1)
-        self.largest = float(h[np.isfinite(h)].max()) + 1.0
-        self._h = np.where(np.isfinite(h), h, self.largest).astype(np.float32)
+        self.robots, self.states = max(one.robot_actions for one in extents), max(one.states for one in extents)
+        self.models, self.largest = len(pomdps), max(one.farthest for one in extents) + 1.0
+        self._offset = np.cumsum([0, *(len(pomdp.robot_actions) for pomdp in pomdps[:-1])])
+        self._whole = all(policy.problem.complete for policy in self._policies)
+        self._of_all = dict[Callable[..., Any], NDArray[Any]]()
 
-    @cached_property
-    def _alone(self) -> Floats:
-        """Probabilities of doing what each robot action suggests, without it; shape (states of all models, R, H).
+    def _of_people(self, what: Callable[[AssistPOMDP, Ints], NDArray[Any]]) -> NDArray[Any]:
+        """Return what holds in the rows of people, shape (N, K, ...); 0 for those who have finished.
 
-        Entry [x, r, h] is the probability that a person of type h chooses the action that robot action r suggests.
-        For r = 0, nothing, it is the probability of an optimal action.
+        `what` returns it for some rows of a problem. If these are all there from the start, it is computed once.
         """
-        parts = []
-        for policy in self.teams.pool.policies:
-            pomdp = policy.pomdp
-            slot = np.maximum(pomdp.suggested, 0)[:, :, None]
-            part = np.zeros((len(slot), self.robots, pomdp.chosen.shape[2]))
-            suggests = (pomdp.suggested != NOTHING)[:, :, None]
-            part[:, : slot.shape[1]] = np.where(suggests, np.take_along_axis(pomdp.chosen, slot, axis=1), 0.0)
-            part[:, 0] = np.where(pomdp.model.choices.goals.optimal[:, :, pomdp.hidden.goal_of], pomdp.chosen, 0.0).sum(
-                axis=1
-            )
-            parts.append(part)
-        return np.concatenate(parts).clip(0.0, 1.0)
+        teams = self.teams
+        if self._whole:
+            if what not in self._of_all:
+                every = [(pomdp, np.arange(len(pomdp.robot_actions))) for pomdp in (p.pomdp for p in self._policies)]
+                self._of_all[what] = np.concatenate([what(*one) for one in every])
+            return self._of_all[what][self._offset[teams.model] + teams.x]
+        row, going = teams.row.reshape(-1), np.flatnonzero(~teams.finished)
+        found = what(self._policies[0].pomdp, np.zeros(1, dtype=np.int64))
+        found = np.zeros((row.size, *found.shape[1:]), dtype=found.dtype)
+        for number, flat in by_model(teams.model.reshape(-1), going, self.models):
+            found[flat] = what(self._policies[number].pomdp, row[flat])
+        return found.reshape(*teams.model.shape, *found.shape[1:])
 
-    @cached_property
-    def _alone_at_first(self) -> NDArray[np.float32]:
-        """The mean of `_alone` over types under the robot's prior, shape (states of all models, R)."""
-        prior = np.concatenate([
-            np.broadcast_to(policy.pomdp.prior.sum(axis=1), (len(policy.pomdp.robot_actions), len(policy.pomdp.prior)))
-            for policy in self.teams.pool.policies
-        ])  # fmt: skip
-        return np.einsum("nrb,nb->nr", self._alone, prior).clip(0.0, 1.0).astype(np.float32)
+    def _alone(self, pomdp: AssistPOMDP, rows: Ints) -> Floats:
+        """Return the probabilities of doing what each robot action suggests, without it; shape (m, R, H).
+
+        Entry [i, r, h] is the probability that a person of type h chooses the action that robot action r suggests. For
+        r = 0, nothing, it is the probability of an optimal action.
+        """
+        suggested, chosen = pomdp.suggested[rows], pomdp.chosen[rows]
+        alone = np.zeros((len(rows), self.robots, chosen.shape[2]))
+        does = np.take_along_axis(chosen, np.maximum(suggested, 0)[:, :, None], axis=1)
+        alone[:, : suggested.shape[1]] = np.where((suggested != NOTHING)[:, :, None], does, 0.0)
+        optimal = pomdp.model.choices.goals.optimal[rows][:, :, pomdp.hidden.goal_of]
+        alone[:, 0] = np.where(optimal, chosen, 0.0).sum(axis=1)
+        return alone.clip(0.0, 1.0)
+
+    def _alone_at_first(self, pomdp: AssistPOMDP, rows: Ints) -> NDArray[np.float32]:
+        """Return the mean of `_alone` over types under the robot's prior, shape (m, R)."""
+        prior = np.broadcast_to(pomdp.prior.sum(axis=1), (len(rows), len(pomdp.prior)))
+        return np.einsum("nrb,nb->nr", self._alone(pomdp, rows), prior).clip(0.0, 1.0).astype(np.float32)
+
+    def _h(self, pomdp: AssistPOMDP, rows: Ints) -> NDArray[np.float32]:
+        """Return the cost-to-go of each goal, shape (m, G)."""
+        h = pomdp.model.choices.goals.h[:, rows].T
+        return np.where(np.isfinite(h), h, self.largest).astype(np.float32)
 
     def mask(self) -> NDArray[np.int8]:
         """Return the mask of robot actions of each person, shape (N, K, R); finished people have only action 0."""
-        teams = self.teams
-        count = np.where(teams.finished, 1, self._count[self._offset[teams.model] + teams.x])
+        count = np.where(self.teams.finished, 1, self._of_people(_robot_actions))
         return (np.arange(self.robots) < count[:, :, None]).astype(np.int8)
 
-    def _cost_to_go(self, row: NDArray[np.int64]) -> NDArray[np.float32]:
+    def _cost_to_go(self) -> NDArray[np.float32]:
         """Return the mean cost-to-go over the goals, shape (N, K), under the beliefs or, without them, the prior."""
-        known = self.teams.pool.policies[0].pomdp.hidden
+        known, h = self._policies[0].pomdp.hidden, self._of_people(self._h)
         if len(known.goals) == 1:
-            return self._h[0, row]
+            return np.asarray(h[:, :, 0])
         belief = self._prior[self.teams.model] if self.teams.belief is None else self.teams.belief
-        return mean_over_goals(
-            np.moveaxis(self._h[:, row].astype(np.float64), 0, -1), known.marginal(belief, "goal")
-        ).astype(np.float32)
+        return mean_over_goals(h.astype(np.float64), known.marginal(belief, "goal")).astype(np.float32)
 
     def seen(self) -> dict[str, NDArray[Any]]:
         """Return the observation of all people, each array of shape (N, K) or (N, K, ...)."""
         teams = self.teams
-        row = self._offset[teams.model] + teams.x
         active = ~teams.finished
         if self.beliefs and teams.belief is not None:
             beta = teams.belief.sum(axis=3)
-            alone = np.einsum("nkrb,nkb->nkr", self._alone[row], beta).clip(0.0, 1.0).astype(np.float32)
+            alone = np.einsum("nkrb,nkb->nkr", self._of_people(self._alone), beta).clip(0.0, 1.0).astype(np.float32)
         else:
-            alone = self._alone_at_first[row]
+            alone = self._of_people(self._alone_at_first)
         seen: dict[str, NDArray[Any]] = {
             "active": active.astype(np.int8),
             "alone": alone * active[:, :, None],
-            "cost_to_go": self._cost_to_go(row) * active,
+            "cost_to_go": self._cost_to_go() * active,
             "erred": (teams.erred & active).astype(np.int8),
             "model": teams.model.copy(),
-            "state": teams.x.copy(),
+            "state": self._states(),
         }
         if self.beliefs and teams.belief is not None:
             seen["belief"] = teams.belief.astype(np.float32).clip(0.0, 1.0)
         return seen
+
+    def _states(self) -> Ints:
+        """Return the number of each person's state, shape (N, K); on an enumerated task, of a state with a memory."""
+        found = self.teams.x.copy()
+        if not self._whole:
+            for number, flat in by_model(self.teams.model.reshape(-1), np.arange(found.size), self.models):
+                found.reshape(-1)[flat] = self._policies[number].states(found.reshape(-1)[flat])
+        return found
+
+
+def _robot_actions(pomdp: AssistPOMDP, rows: Ints) -> Ints:
+    """Return the number of robot actions in some rows, shape (m,)."""
+    return pomdp.robot_actions[rows]

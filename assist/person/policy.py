@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,24 @@ Ints = NDArray[np.int64]
 
 OfRows = Callable[[Ints], Floats]
 """A function of rows, shape (N,), that returns values for known type and theta, shape (N, H, T), in cost units."""
+
+
+class Extent(NamedTuple):
+    """The largest numbers that occur in a person's problem.
+
+    Attributes
+    ----------
+    states : int
+        Number of states.
+    robot_actions : int
+        R, the largest number of robot actions in a state.
+    farthest : float
+        The largest finite cost-to-go of any goal, in cost units.
+    """
+
+    states: int
+    robot_actions: int
+    farthest: float
 
 
 class Policy:
@@ -84,6 +102,13 @@ class Policy:
     def size(self) -> float:
         """The number of states whose values are kept; infinite if they are not those of the whole task."""
         return len(self.pomdp.robot_actions)
+
+    @property
+    def extent(self) -> Extent:
+        """The largest numbers that occur anywhere in the task, for arrays of a fixed size."""
+        h = self.pomdp.model.choices.goals.h
+        most, robots = self.pomdp.suggested.shape
+        return Extent(most, robots, float(h[np.isfinite(h)].max(initial=0.0)))
 
     @property
     def searches(self) -> bool:

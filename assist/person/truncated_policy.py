@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo
+from planner import CostToGo, Table
 from planner.system.limits import available_memory
 from planner.system.progress import reporting
 
 from ..people.belief import Grid
 from ..people.decision import Floats
-from ..people.goals import Goals, each_of, first_of
+from ..people.goals import Goals, each_of, first_of, goals_reached, optimal_for_each
 from ..people.hidden_type import HiddenType, OfGoals
 from ..people.memory_on_demand import Remembering
 from .assumptions import Assumptions
@@ -39,7 +39,7 @@ from .closed_problem import closed_problem
 from .growing_problem import Backup, GrowingProblem
 from .leaf_estimates import LeafEstimates
 from .memory_needed import require_room
-from .policy import OfRows, Policy
+from .policy import Extent, OfRows, Policy
 from .policy_iteration import SOLVING
 from .pomdp import AssistPOMDP
 from .qmdp import look_ahead
@@ -56,6 +56,9 @@ A table answers at once; a query by symmetry takes longer, and a search may take
 
 NEVER = (-1.0,)
 """The key of estimates for a robot that never helps."""
+
+SCANNED = 1 << 16
+"""Number of states of a table that are looked at together."""
 
 ROWS = 20_000
 """Number of rows, of some kilobytes each, that all policies for the people of a task keep together."""
@@ -160,6 +163,34 @@ class TruncatedPolicy(Policy):
     def size(self) -> float:
         """Infinity: values of other states than those of the truncated task are not kept."""
         return math.inf
+
+    @cached_property
+    def extent(self) -> Extent:
+        """The largest numbers that occur anywhere in the task; they are looked for in all of its states.
+
+        Raises
+        ------
+        ValueError
+            The task is solved on demand, so that they are not known.
+        """
+        known = self.task.known if isinstance(self.task, Remembering) else self.ground.known
+        tables = each_of(known)
+        if not all(isinstance(one, Table) for one in tables):
+            raise ValueError(
+                f"{self.task.task.name}: expected a task of which all states are known, to find the largest"
+            )
+        states, most, farthest = len(tables[0]), 0, 0.0
+        for begin in range(0, states, SCANNED):
+            block = np.arange(begin, min(begin + SCANNED, states))
+            rows = tables[0].choices(block)
+            source = np.repeat(np.arange(len(block)), np.diff(rows.offsets))
+            goes_on = ~goals_reached(known, block)[source]
+            if self.assumed.suggestions == "optimal":
+                goes_on &= optimal_for_each(known, block, rows)
+            most = max(most, int(np.bincount(source[goes_on.any(axis=1)]).max(initial=0)))
+            h = np.concatenate([one.lookup(block) for one in tables])
+            farthest = max(farthest, float(h[np.isfinite(h)].max(initial=0.0)))
+        return Extent(states, 1 + most * (1 + self.assumed.robot.execute), farthest)
 
     @property
     def searches(self) -> bool:

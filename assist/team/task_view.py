@@ -2,16 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..person.policy import Policy
 from .model_group import Ints, ModelGroup, World
 from .pool import Pool
 from .state import by_model
 
 
-class TaskView:
+class RowsOfPeople:
+    """The rows of people in the problems of their policies; it holds those that it was asked for last.
+
+    Parameters
+    ----------
+    policies : sequence of Policy
+    model : int array, shape (N, K)
+        Index of each person's policy.
+    """
+
+    def __init__(self, policies: Sequence[Policy], model: Ints) -> None:
+        self.policies, self.model = policies, model
+        self._grows = np.array([not policy.problem.complete for policy in policies])
+
+    def rows(self, places: Ints, active: Ints) -> Ints:
+        """Return the row of each person, shape (N, K); of people who are not active, any row.
+
+        Parameters
+        ----------
+        places : int array, shape (N, K)
+        active : int array
+            Active people, as indices of the flattened `places`.
+        """
+        if not self._grows.any():
+            return places
+        found, grows = places.reshape(-1).copy(), self._grows[self.model].reshape(-1)
+        found[grows] = 0
+        for number, flat in by_model(self.model.reshape(-1), active[grows[active]], len(self.policies)):
+            found[flat] = self.policies[number].rows(places.reshape(-1)[flat], self)
+        return found.reshape(places.shape)
+
+
+class TaskView(RowsOfPeople):
     """The people's tasks in a number of episodes that are simulated together. It holds the rows of the last step.
 
     Parameters
@@ -36,7 +69,8 @@ class TaskView:
         self, pool: Pool, groups: Mapping[int, ModelGroup], world: World, model: Ints, people: Ints, mind: Ints,
         goal: Ints,
     ) -> None:  # fmt: skip
-        self.policies, self.groups, self.model, self.goal = pool.policies, groups, model, goal
+        super().__init__(pool.policies, model)
+        self.groups, self.goal = groups, goal
         self.initial = np.array([policy.task.initial for policy in pool.policies])[model]
         self.who = mind
         if world == "people":
@@ -44,22 +78,3 @@ class TaskView:
             for number, flat in by_model(model.reshape(-1), np.arange(model.size), len(pool.policies)):
                 own = people.reshape(-1)[flat], goal.reshape(-1)[flat]
                 self.who.reshape(-1)[flat] = groups[number].mind(*own)
-        self._growing = np.array([not policy.problem.complete for policy in pool.policies])[model].reshape(-1)
-
-    def rows(self, places: Ints, active: Ints) -> Ints:
-        """Return the row of each person, shape (N, K); of people who are not active, any row.
-
-        Parameters
-        ----------
-        places : int array, shape (N, K)
-        active : int array
-            Active people, as indices of the flattened `places`.
-        """
-        if not self._growing.any():
-            return places
-        found = places.reshape(-1).copy()
-        found[self._growing] = 0
-        some = active[self._growing[active]]
-        for number, flat in by_model(self.model.reshape(-1), some, len(self.policies)):
-            found[flat] = self.policies[number].rows(places.reshape(-1)[flat], self)
-        return found.reshape(places.shape)

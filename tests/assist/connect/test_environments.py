@@ -7,6 +7,7 @@ import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -22,9 +23,11 @@ from assist.connect.pettingzoo import parallel_env
 from assist.people.choices import Choices
 from assist.people.ranges import Population
 from assist.people.trust_rules import outcome_at_disagreement
+from assist.person import truncated_policy
 from assist.person.robots import Robot
 from assist.person.settings import Setting
 from assist.team.policy_names import POLICIES
+from planner import OnDemand, Table
 
 EPISODES = 4
 
@@ -94,6 +97,44 @@ def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> 
             break
     assert returns == pytest.approx(found.discounted_return)
     assert begun > 0  # finished teams are reset while others continue
+
+
+@pytest.mark.parametrize("options", [{}, {"knowledge": "exact", "suggestions": "all"}, {"robots": 2}, {"goals": True}])
+def test_on_rows_that_grow_all_is_seen_as_on_the_whole_task(
+    tiny: Table, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The spaces are the same, and so is whatever is seen and received in many episodes of actions at random."""
+    task, setting = (
+        (TASKS["tiny"] if options.pop("goals", False) else tiny),
+        Setting(c_suggest=0.1, max_steps=25, **options),
+    )
+    monkeypatch.setattr(truncated_policy, "ROWS", 30)
+    whole, part = (
+        TeamVectorEnv(Pool.sample(task, 3, seed=1, setting=setting, **size), 5, 2)
+        for size in ({}, {"states": 1, "region": 10**6})
+    )
+    assert not part.pool.policies[0].problem.complete
+    assert part.observation_space == whole.observation_space
+    assert part.action_space == whole.action_space
+    rng, helped = np.random.default_rng(3), 0
+    seen, other = (env.reset(seed=4)[0] for env in (whole, part))
+    for _ in range(80):
+        for name, array in seen.items():
+            np.testing.assert_allclose(other[name], array, rtol=1e-6, err_msg=name)
+        mask = seen["action_mask"].reshape(5, len(setting.fleet), -1).astype(float)
+        actions = np.array([[rng.choice(row.size, p=row / row.sum()) for row in team] for team in mask])
+        actions = actions.reshape(whole.action_space.shape)
+        helped += int((actions > 0).sum())
+        found, same = whole.step(actions), part.step(actions)
+        for k in range(1, 4):
+            np.testing.assert_allclose(same[k], found[k], atol=1e-12)
+        seen, other = found[0], same[0]
+    assert helped > 80
+
+
+def test_an_environment_needs_to_know_all_states(tiny: Table) -> None:
+    with pytest.raises(ValueError, match="expected a task of which all states are known"):
+        TeamEnv(Pool.sample(OnDemand(tiny.task), 2, seed=1), 2)
 
 
 def test_gymnasium_finds_nothing_wrong(pool: Pool) -> None:
