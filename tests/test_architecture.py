@@ -60,7 +60,7 @@ ROOMS = {
         diagnostics population fit goals rule_families posterior_sample influence_population
         rule_search trust_fit held_out""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
-    "assist.drawing.plots": "style labels shown_figure episode watched people policies study userstudy",
+    "assist.drawing.plots": "shown_figure style labels episode watched people policies study userstudy",
     "assist.live": """continuations contrast explanation names live_task advice roster seen_suggestions
         uncertain_actions beliefs live_questions decision_point robot_places decisions knowledge desk event_base events
         reports record assistant store people_store header history team session simulated_person trace_reasons""",

@@ -10,12 +10,13 @@ from typing import Any
 
 import pytest
 from conftest import KITTING
+from matplotlib.text import Text
 from recorded import lines
 
 from assist import Assistant, Pool, fit, simulate
 from assist.certify import certify, upper_bound
 from assist.drawing import draw
-from assist.drawing.plots import expertise_figure
+from assist.drawing.plots import errors_figure, expertise_figure
 from assist.learning import (
     Log,
     calibrate,
@@ -142,7 +143,11 @@ def test_results_of_fit_are_what_figures_and_comparisons_take() -> None:
     people, seen = fit("kitting/tiny", LOG), replayed("kitting/tiny", LOG)
     for given in (people, list(people.values())):
         assert calibrate(given) == calibrate(people)
-        assert expertise_figure(given).axes
+        for figure in (expertise_figure(given), errors_figure(given)):
+            figure.draw_without_rendering()
+            words = [text.get_text() for text in figure.findobj(Text)]
+            assert {"0", "1"} <= set(words)  # marks of an axis that is logarithmic above a tenth
+            assert not [one for one in words if "$" in one]
     for estimate in (compare_models, fit_population, maximum_likelihood):
         assert estimate(seen) == estimate(seen.observations(TERMS if estimate is compare_models else None))
         with pytest.raises(TypeError, match="a str where observations were expected; `replayed"):

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ...people.decision import Floats
 from ...team.episode import Episode
-from ...team.trace import Trace, robot_is_at
-from .style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, VERMILLION, require
+from ...team.trace import Trace
+from .style import (
+    BLUE,
+    GREEN,
+    GREY,
+    VERMILLION,
+    entry,
+    is_followed,
+    panels,
+    robot_bands,
+    robot_entry,
+    styled,
+    whole_numbers,
+)
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -16,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@styled
 def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, sees: Floats | None = None) -> Figure:
     """Plot one episode: each person's cost-to-go over time, the suggestions, and where the robot was.
 
@@ -36,11 +49,6 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, s
     MissingExtraError
         matplotlib is not installed.
     """
-    require()
-    from matplotlib.ticker import MaxNLocator
-
-    from .shown_figure import ShownFigure
-
     places = sorted({row["place"] for row in trace})
     steps = max(row["step"] for row in trace) + 1
     alone_steps = max((row["step"] for row in alone or []), default=0) + 1
@@ -56,8 +64,8 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, s
     )
     above = 0.55 + 0.2 * (title.count("\n") + 1)  # inches
     height = above + 1.15 + 1.9 * len(places)  # inches; 1.9 for each panel
-    figure = ShownFigure(figsize=(PAGE_WIDTH, height))
-    axes = figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0]
+    figure, stations = panels(len(places), height=1.9, margin=above + 1.15, layout=None, sharex=True)
+    axes = stations[:, 0]
     figure.subplots_adjust(left=0.08, right=0.78, top=1 - above / height, bottom=1.15 / height, hspace=0.35)
     figure.suptitle(title, fontsize=11, y=1 - 0.2 / height, va="top")
     for place, axis in zip(places, axes, strict=True):
@@ -67,28 +75,24 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, s
         _about(axis, episode, place, own, without)
         axis.set_ylim(0, highest * 1.12)
         axis.set_xlim(0, shown * 1.02)
-        axis.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=4))
-        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.grid(axis="y", alpha=0.3)
+        whole_numbers(axis.yaxis, nbins=4)
+        whole_numbers(axis.xaxis)
+        axis.grid(axis="y")
     if sees is not None:
         _seen(figure, dict(zip(places, axes, strict=True)), trace, sees)
     axes[len(axes) // 2].set_ylabel("cost-to-go")
     axes[-1].set_xlabel("step (in each, every person acts once)")
-    figure.legend(
-        handles=_entries(bool(alone), sees is not None), loc="lower center", ncols=3, frameon=False, fontsize=9
-    )
+    figure.legend(handles=_entries(bool(alone), sees is not None), loc="lower center", ncols=3)
     return figure
 
 
 def _panel(axis: Axes, place: int, rows: Trace, alone: Trace) -> None:
     """Plot one person's cost-to-go with the robot and without it, the suggestions, and when the robot was there."""
-    for step in {row["step"] for row in rows if robot_is_at(row, place)}:
-        axis.axvspan(step, step + 1, color=ORANGE, alpha=0.22, linewidth=0)
+    robot_bands([axis], rows, place, start=0.0)
     _line(axis, alone, GREY, "--", 1.3)
     _line(axis, rows, BLUE, "-", 2.0)
     for followed in (True, False):
-        told = [row for row in rows if row["suggestion"] and (row["suggestion"] == row["action"]) == followed]
+        told = [row for row in rows if row["suggestion"] and is_followed(row) == followed]
         axis.plot(
             [row["step"] + 0.5 for row in told],
             [row["cost_to_go"] or 0 for row in told],
@@ -149,17 +153,14 @@ def _short(name: str, most: int = 80) -> str:
 
 def _entries(alone: bool, seen: bool) -> list[Artist]:
     """Return the entries of the legend."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    told = {"linestyle": "none", "marker": "v", "markersize": 8, "color": GREEN}
+    told: dict[str, Any] = {"marker": "v", "markersize": 8, "color": GREEN}
     return [
-        Line2D([], [], color=BLUE, linewidth=2, label="with the robot"),
-        *([Line2D([], [], color=GREY, linewidth=1.3, linestyle="--", label="the same people, alone")] if alone else []),
-        Patch(color=ORANGE, alpha=0.22, label="robot present"),
-        Line2D([], [], **told, label="suggestion, followed"),  # type: ignore[arg-type]
-        Line2D([], [], **told, markerfacecolor="white", label="suggestion, not followed"),  # type: ignore[arg-type]
-        *([Line2D([], [], color=VERMILLION, linewidth=0.9, label="seen by a neighbour")] if seen else []),
+        entry("with the robot", color=BLUE, linewidth=2),
+        *([entry("the same people, alone", color=GREY, linewidth=1.3, linestyle="--")] if alone else []),
+        robot_entry(),
+        entry("suggestion, followed", **told),
+        entry("suggestion, not followed", markerfacecolor="white", **told),
+        *([entry("seen by a neighbour", color=VERMILLION, linewidth=0.9)] if seen else []),
     ]
 
 

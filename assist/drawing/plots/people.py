@@ -13,10 +13,9 @@ from ...learning.comparison import Comparison
 from ...learning.diagnostics import calibrate
 from ...learning.person_estimate import PersonEstimate, people_of
 from ...people.decision import NOTHING
-from .style import BLUE, GREEN, GREY, ORANGE, require, save
+from .style import BLUE, GREEN, GREY, ORANGE, panels, save, styled, whole_numbers
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -32,7 +31,6 @@ def draw(fits: list[PersonEstimate], folder: Path) -> list[Path]:
     MissingExtraError
         matplotlib is not installed.
     """
-    require()
     pictures = {
         "calibration": calibration_figure(fits),
         "expertise": expertise_figure(fits),
@@ -53,12 +51,12 @@ def draw_comparison(comparison: Comparison, folder: Path) -> Path:
     MissingExtraError
         matplotlib is not installed.
     """
-    require()
     file = folder / "comparison.png"
     save(comparison_figure(comparison), file)
     return file
 
 
+@styled
 def comparison_figure(comparison: Comparison) -> Figure:
     """Plot the held-out prediction error of each choice model, and its difference for each person.
 
@@ -66,10 +64,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     ----------
     comparison : Comparison
     """
-    from .shown_figure import ShownFigure
-
-    figure = ShownFigure(figsize=(9, 0.9 + 0.55 * len(comparison.scores)), layout="constrained")
-    means, people = figure.subplots(1, 2)
+    figure, ((means, people),) = panels(1, 2, height=0.9 + 0.55 * len(comparison.scores), margin=0.0)
     reference, rows = comparison.scores[0], np.arange(len(comparison.scores))[::-1]
     for row, model in zip(rows, comparison.scores, strict=True):
         means.errorbar(model.nats_per_choice, row, xerr=1.96 * model.stderr, fmt="o", color=BLUE, capsize=3)
@@ -83,21 +78,11 @@ def comparison_figure(comparison: Comparison) -> Figure:
     people.set(xlabel=f"less than {reference.model}, one mark per person", ylim=(-0.6, len(rows) - 0.4))
     people.axvline(0.0, color=GREY, linewidth=1)
     for axis in (means, people):
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.grid(axis="x", alpha=0.3)
+        axis.grid(axis="x")
     return figure
 
 
-def _figure(width: float, height: float) -> tuple[Figure, Axes]:
-    from .shown_figure import ShownFigure
-
-    figure = ShownFigure(figsize=(width, height), layout="constrained")
-    axis = figure.subplots()
-    axis.spines[["top", "right"]].set_visible(False)
-    axis.grid(alpha=0.3)
-    return figure, axis
-
-
+@styled
 def calibration_figure(people: People) -> Figure:
     """Plot the observed frequency of choices against their predicted probability.
 
@@ -105,7 +90,8 @@ def calibration_figure(people: People) -> Figure:
     ----------
     people : FittedPeople, or iterable of PersonEstimate
     """
-    figure, axis = _figure(6, 5.4)
+    figure, ((axis,),) = panels(height=5.4, margin=0.0, width=6)
+    axis.grid()
     c = calibrate(people)
     axis.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1.2, label="as predicted")
     axis.errorbar(
@@ -115,11 +101,12 @@ def calibration_figure(people: People) -> Figure:
     for x, y, count in zip(c.predicted, c.observed, c.count, strict=True):
         axis.annotate(f"{count:.0f}", (x, y), xytext=(7, -11), textcoords="offset points", fontsize=8, color="#555555")
     axis.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), xlabel="predicted probability of a choice", ylabel="share chosen")
-    axis.set_title("Predicted and observed choices (numbers: applicable actions)", fontsize=10)
-    axis.legend(frameon=False, loc="upper left")
+    axis.set_title("Predicted and observed choices (numbers: applicable actions)")
+    axis.legend(loc="upper left")
     return figure
 
 
+@styled
 def expertise_figure(people: People, most: int = 60) -> Figure:
     """Plot beta with its interval for each person, and theta where it is known.
 
@@ -130,14 +117,12 @@ def expertise_figure(people: People, most: int = 60) -> Figure:
         Largest number of people, each with a line; more cannot be read.
     """
     fits = people_of(people)
-    from .shown_figure import ShownFigure
-
     shown = sorted(fits, key=lambda f: (f.estimates["beta"].value, f.beta_interval[0]))
     if len(shown) > most:  # an even selection over the whole range
         shown = [shown[i] for i in np.linspace(0, len(shown) - 1, most).astype(int)]
     columns = 2 if any("theta" in f.estimates for f in shown) else 1
-    figure = ShownFigure(figsize=(4.7 * columns + 1, 1.3 + 0.24 * max(len(shown), 4)), layout="constrained")
-    axes = figure.subplots(1, columns, sharey=True, squeeze=False)[0]
+    height = 0.24 * max(len(shown), 4)
+    figure, (axes,) = panels(1, columns, height=height, margin=1.3, width=4.7 * columns + 1, sharey=True)
     rows = np.arange(len(shown))
     for axis, name, color in zip(axes, ("beta", "theta"), (BLUE, GREEN), strict=False):
         for row, f in zip(rows, shown, strict=True):
@@ -150,19 +135,20 @@ def expertise_figure(people: People, most: int = 60) -> Figure:
                 estimate.value, row, marker=">" if end else "o", color=color, markersize=6 if end else 5,
                 markerfacecolor="white" if end else color, clip_on=False,
             )  # fmt: skip
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.grid(axis="x", alpha=0.3)
+        axis.grid(axis="x")
     axes[0].set_xscale("symlog", linthresh=0.1)
+    axes[0].xaxis.set_major_formatter("{x:g}")
     axes[0].set_xlim(left=0)
     axes[0].set_xlabel("expertise β, per cost unit (arrow: not bounded above)")
     axes[0].set_yticks(rows, [f.observations.person for f in shown], fontsize=8)
     if columns == 2:
         axes[1].set(xlim=(0, 1), xlabel="initial influence θ")
     number = f"{len(shown)} of {len(fits)} people" if len(shown) < len(fits) else f"{len(fits)} people"
-    figure.suptitle(f"Estimates with {100 * fits[0].method.level:g} % intervals, {number}", fontsize=10)
+    figure.suptitle(f"Estimates with {100 * fits[0].method.level:g} % intervals, {number}")
     return figure
 
 
+@styled
 def errors_figure(people: People) -> Figure:
     """Plot beta against the share of suboptimal actions.
 
@@ -171,7 +157,8 @@ def errors_figure(people: People) -> Figure:
     people : FittedPeople, or iterable of PersonEstimate
     """
     fits = people_of(people)
-    figure, axis = _figure(6.4, 4.6)
+    figure, ((axis,),) = panels(height=4.6, margin=0.0, width=6.4)
+    axis.grid()
     for is_open, marker, label in ((False, "o", "estimate"), (True, "^", "not bounded above")):
         own = [f for f in fits if f.estimates["beta"].open_above == is_open]
         if own:
@@ -183,13 +170,15 @@ def errors_figure(people: People) -> Figure:
                 markersize=5, linewidth=1, alpha=0.75, label=label, markerfacecolor="white" if is_open else BLUE,
             )  # fmt: skip
     axis.set_yscale("symlog", linthresh=0.1)
+    axis.yaxis.set_major_formatter("{x:g}")
     axis.set_ylim(bottom=0)
     axis.set(xlabel="suboptimal actions, % of all", ylabel="expertise β, per cost unit")
-    axis.set_title("Expertise and mistakes, one mark per person", fontsize=10)
-    axis.legend(frameon=False)
+    axis.set_title("Expertise and mistakes, one mark per person")
+    axis.legend()
     return figure
 
 
+@styled
 def episodes_figure(people: People, most: int = 12) -> Figure:
     """Plot the cost-to-go along each person's episodes, and the suggestions.
 
@@ -199,22 +188,14 @@ def episodes_figure(people: People, most: int = 12) -> Figure:
     most : int
         Largest number of people, each with a panel.
     """
-    fits = people_of(people)
-    from matplotlib.ticker import MaxNLocator
-
-    from .shown_figure import ShownFigure
-
-    shown = fits
+    shown = fits = people_of(people)
     if len(fits) > most:  # from the least to the most expert person
         order = sorted(fits, key=lambda f: f.estimates["beta"].value)
         shown = [order[i] for i in np.linspace(0, len(order) - 1, most).astype(int)]
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
-    figure = ShownFigure(figsize=(3.6 * columns, 0.6 + 2.3 * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for axis in axes[len(shown) :]:
-        axis.set_visible(False)
-    for axis, f in zip(axes, shown, strict=False):
+    figure, axes = panels(rows, columns, height=2.3, width=3.6 * columns, shown=len(shown), sharey=True)
+    for axis, f in zip(axes.ravel(), shown, strict=False):
         o = f.observations
         bounds = [*np.flatnonzero(o.begins).tolist(), len(o)]
         for begin, end in pairwise(bounds):
@@ -230,15 +211,12 @@ def episodes_figure(people: People, most: int = 12) -> Figure:
                     at, h[at], linestyle="none", marker="v", markersize=4.5, color=GREEN,
                     markerfacecolor=GREEN if took else "white",
                 )  # fmt: skip
-        axis.set_title(
-            f"{o.person}: β = {f.estimates['beta'].value:.2g}, {o.suboptimal} of {len(o)} suboptimal", fontsize=9
-        )
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.grid(axis="y", alpha=0.3)
-        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes[0].set_ylim(bottom=0)  # shared by all axes; set last, since limits stop automatic scaling
+        axis.set_title(f"{o.person}: β = {f.estimates['beta'].value:.2g}, {o.suboptimal} of {len(o)} suboptimal")
+        axis.grid(axis="y")
+        whole_numbers(axis.xaxis)
+    axes[0, 0].set_ylim(bottom=0)  # shared by all axes; set last, since limits stop automatic scaling
     number = f"{len(shown)} of {len(fits)} people" if len(shown) < len(fits) else "all people"
-    figure.suptitle(f"Episodes of {number}; triangles: suggestions, filled if followed", fontsize=10)
-    figure.supxlabel("action", fontsize=9)
-    figure.supylabel("cost-to-go", fontsize=9)
+    figure.suptitle(f"Episodes of {number}; triangles: suggestions, filled if followed")
+    figure.supxlabel("action", fontsize="medium")
+    figure.supylabel("cost-to-go", fontsize="medium")
     return figure

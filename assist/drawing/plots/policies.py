@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .style import PAGE_WIDTH, THICK, legend_below, looks, sample, styled
+from .style import THICK, legend_below, looks, panels, sample, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,24 +35,21 @@ def comparison_figure(comparison: Any) -> Figure:
     comparison : PolicyComparison
         What `assist.studies.reports.compare` returns.
     """
-    from .shown_figure import ShownFigure
-
     rows = list(comparison)
     sizes, keys = list(dict.fromkeys(row.humans for row in rows)), list(dict.fromkeys(row.varied for row in rows))
     lines = sizes if len(keys) > 1 else [None]
     paired = len(sizes) == len(keys) == 1 < len(rows)
-    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.8 + 2.4 * (len(lines) + paired)), layout="constrained")
-    panels = figure.subplots(len(lines) + paired, len(PANELS), squeeze=False)
+    figure, axes = panels(len(lines) + paired, len(PANELS), height=2.4, margin=0.8)
     marks = looks(row.policy for row in rows)
     for line, size in enumerate(lines):
         shown = [row for row in rows if size is None or row.humans == size]
-        for axis, (name, label) in zip(panels[line], PANELS.items(), strict=True):
+        for axis, (name, label) in zip(axes[line], PANELS.items(), strict=True):
             axis.set_ylabel(label)
             axis.grid(axis="y")
             _panel(axis, shown, name, marks, comparison.varied, several=len(sizes) > 1)
         if len(sizes) > 1 and size is not None:
-            panels[line][0].set_title(f"{size} people", loc="left", fontweight="bold")
-    for axis, (name, label) in zip(panels[-1] if paired else [], PANELS.items(), strict=False):
+            axes[line][0].set_title(f"{size} people", loc="left", fontweight="bold")
+    for axis, (name, label) in zip(axes[-1] if paired else [], PANELS.items(), strict=False):
         axis.set_ylabel(f"{label.partition(' (')[0]},\nminus {comparison.baseline}")
         axis.axhline(0.0, color="0.5", linewidth=1.0)
         axis.grid(axis="y")

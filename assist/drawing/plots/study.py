@@ -18,7 +18,6 @@ from .style import (
     BLUE,
     GREEN,
     ORANGE,
-    PAGE_WIDTH,
     SKY,
     THICK,
     THIN,
@@ -28,8 +27,11 @@ from .style import (
     ink,
     legend_below,
     looks,
+    panels,
+    robot_entry,
     sample,
     styled,
+    whole_numbers,
 )
 
 if TYPE_CHECKING:
@@ -55,10 +57,8 @@ def team_size_figure(cells: DataFrame) -> Figure:
     cells : DataFrame
         Columns `instance`, `policy`, `humans`, `measure` (see `MEASURES`), `mean`, `sd`, `low`, `high`, `n`.
     """
-    from matplotlib.ticker import MaxNLocator
-
     shown = looks(cells["policy"])
-    figure, rows = _panels(_names(cells), list(MEASURES), height=2.7)
+    figure, rows = _named_rows(_names(cells), list(MEASURES), height=2.7)
     apart = _dodge(len(shown), 0.13)
     ends: dict[Axes, list[Note]] = {axis: [] for row in rows for axis in row.values()}
     for instance, row in zip(_names(cells), rows, strict=True):
@@ -74,7 +74,7 @@ def team_size_figure(cells: DataFrame) -> Figure:
             _from_nothing(axis, own)
             axis.set_ylabel(MEASURES[measure])
             axis.grid(axis="y")
-            axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+            whole_numbers(axis.xaxis)
     for axis in rows[-1].values():
         axis.set_xlabel("people in the team, K")
     legend_below(figure, _what_bars_mean(cells))
@@ -104,7 +104,7 @@ def category_figure(
     """
     shown = looks(cells["policy"])
     place = {name: number for number, name in enumerate(categories)}
-    figure, rows = _panels(_names(cells), list(MEASURES), height=2.7)
+    figure, rows = _named_rows(_names(cells), list(MEASURES), height=2.7)
     apart = _dodge(len(shown), 0.16)
     upright = len(categories) >= 6  # fewer labels fit horizontally
     ticks = [textwrap.fill(name, 24 if upright else max(8, 64 // len(categories))) for name in categories]
@@ -157,7 +157,7 @@ def trade_off_figure(points: DataFrame, published: Mapping[str, float] | None = 
 
     shown = looks(points["policy"])
     instances = _names(points)
-    figure, axes = _grid(len(instances), 1 if len(instances) == 1 else 2, height=4.2 if len(instances) == 1 else 3.5)
+    figure, axes = _grid(len(instances), height=4.2 if len(instances) == 1 else 3.5)
     notes: dict[Axes, list[Note]] = {axis: [] for axis in axes}
     for instance, axis in zip(instances, axes, strict=True):
         here = points[points["instance"] == instance]
@@ -200,13 +200,11 @@ def benefit_figure(cells: DataFrame, published: Mapping[str, float] | None = Non
     source : str
         Name of their source.
     """
-    from matplotlib.ticker import MaxNLocator
-
     names = set(cells["comparison"])
     marked = {name: value for name, value in (published or {}).items() if name in names}
     shown = {name: look for name, look in COMPARISONS.items() if name in names} | looks(names - set(COMPARISONS))
     instances = _names(cells)
-    figure, axes = _grid(len(instances), 1 if len(instances) == 1 else 2, height=3.2)
+    figure, axes = _grid(len(instances), height=3.2)
     ends: dict[Axes, list[Note]] = {axis: [] for axis in axes}
     for instance, axis in zip(instances, axes, strict=True):
         first = cells["humans"].min() - 0.6
@@ -232,7 +230,7 @@ def benefit_figure(cells: DataFrame, published: Mapping[str, float] | None = Non
             axis.set_ylim(max(low, min([0, *here]) - far), min(high, max([0, *here]) + far))
         axis.set_title(instance, loc="left", fontweight="bold")
         axis.set(xlabel="people in the team, K", ylabel="saving, %")
-        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+        whole_numbers(axis.xaxis)
         axis.grid(axis="y")
     entries = [entry("95 % interval", **THICK)]
     if marked:
@@ -256,7 +254,8 @@ def belief_figure(beliefs: DataFrame, episode: Episode) -> Figure:
 
     places = sorted(set(beliefs["place"]))
     hidden = {"beta": "expertise β", "theta": "influence θ"}
-    figure, rows = _panels([episode.people[place] for place in places], list(hidden), height=1.6, sharey="col")
+    people = [episode.people[place] for place in places]
+    figure, rows = _named_rows(people, list(hidden), height=1.6, sharey="col")
     for place, row in zip(places, rows, strict=True):
         own = beliefs[beliefs["place"] == place].sort_values("step")
         for name, axis in row.items():
@@ -277,7 +276,7 @@ def belief_figure(beliefs: DataFrame, episode: Episode) -> Figure:
             axis.set_ylabel(hidden[name])
             ticks = [0, 0.5, 1] if name == "theta" else MaxNLocator(nbins=4, steps=[1, 2, 5, 10]).tick_values(0, top)
             axis.set_yticks([tick for tick in ticks if 0 <= tick <= 1.06 * top])
-            axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+            whole_numbers(axis.xaxis)
             axis.grid(axis="y")
     for axis in rows[-1].values():
         axis.set_xlabel("step")
@@ -286,7 +285,7 @@ def belief_figure(beliefs: DataFrame, episode: Episode) -> Figure:
         entry("posterior mean", color=BLUE, linewidth=1.8),
         Patch(color=BLUE, alpha=0.3, label="posterior, 5 % to 95 %"),
         entry("true", linestyle="--", linewidth=1.2),
-        Patch(color=ORANGE, alpha=0.22, label="robot present"),
+        robot_entry(),
         entry("suggestion", color=GREEN, marker="^", markersize=5),
     ]
     legend_below(figure, entries)
@@ -298,29 +297,21 @@ def _names(cells: DataFrame) -> list[str]:
     return list(dict.fromkeys(cells["instance"]))
 
 
-def _panels(
+def _named_rows(
     rows: Sequence[str], columns: Sequence[str], *, height: float, sharey: Any = False
 ) -> tuple[Figure, list[dict[str, Axes]]]:
     """Return a figure with panels for each row and column, with the name of each row above its first panel."""
-    from .shown_figure import ShownFigure
-
-    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.6 + height * len(rows)), layout="constrained")
-    axes = figure.subplots(len(rows), len(columns), sharex="col", sharey=sharey, squeeze=False)
+    figure, axes = panels(len(rows), len(columns), height=height, sharex="col", sharey=sharey)
     for name, axis in zip(rows, axes[:, 0], strict=True):
         axis.set_title(name, loc="left", fontweight="bold")
     return figure, [dict(zip(columns, row, strict=True)) for row in axes]
 
 
-def _grid(panels: int, columns: int, *, height: float) -> tuple[Figure, list[Axes]]:
-    """Return a figure with the given number of panels, in rows."""
-    from .shown_figure import ShownFigure
-
-    rows = -(-panels // columns)
-    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.6 + height * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axis in axes[panels:]:
-        axis.set_visible(False)
-    return figure, list(axes[:panels])
+def _grid(count: int, *, height: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure with the given number of panels: one, or two in each row."""
+    columns = min(count, 2)
+    figure, axes = panels(-(-count // columns), columns, height=height, shown=count)
+    return figure, list(axes.ravel()[:count])
 
 
 def _dodge(count: int, gap: float) -> Sequence[float]:

@@ -7,18 +7,24 @@ extra `plots`.
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 from zlib import crc32
+
+from numpy.typing import NDArray
 
 from planner.system.errors import MissingExtraError
 from planner.system.files import atomic
 
+from ...team.trace import robot_is_at
+
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 P = ParamSpec("P")
@@ -79,6 +85,63 @@ def looks(policies: Iterable[str]) -> dict[str, PolicyLook]:
         free = (look for look in wheel if look not in taken)
         found[name] = next(free, PolicyLook(*OTHERS[first % len(OTHERS)]))
     return found
+
+
+def panels(
+    rows: int = 1, columns: int = 1, *, height: float, margin: float = 0.6, width: float = PAGE_WIDTH,
+    shown: int | None = None, layout: Literal["constrained"] | None = "constrained", **shared: Any,
+) -> tuple[Figure, NDArray[Any]]:  # fmt: skip
+    """Return a figure, and its panels in an array of shape (rows, columns).
+
+    Parameters
+    ----------
+    rows, columns : int
+    height : float
+        Inches of each row.
+    margin, width : float
+        Inches beside the rows, and of the whole figure.
+    shown : int, optional
+        Panels that are used, row by row; all unless given.
+    layout : "constrained" or None
+        How matplotlib places panels; None if the caller does.
+    **shared
+        Further arguments of `Figure.subplots`, such as `sharex`.
+    """
+    from .shown_figure import ShownFigure
+
+    figure = ShownFigure(figsize=(width, margin + height * rows), layout=layout)
+    axes = figure.subplots(rows, columns, squeeze=False, **shared)
+    for axis in axes.ravel()[rows * columns if shown is None else shown :]:
+        axis.set_visible(False)
+    return figure, axes
+
+
+def robot_bands(axes: Iterable[Axes], trace: Iterable[Mapping[str, Any]], place: int, start: float = -0.5) -> None:
+    """Mark the steps in which a robot was with a person; a step begins at its number plus `start`."""
+    steps = sorted({row["step"] for row in trace if robot_is_at(row, place)})
+    for axis in axes:
+        for step in steps:
+            axis.axvspan(step + start, step + start + 1, color=ORANGE, alpha=0.22, linewidth=0)
+
+
+def robot_entry() -> Artist:
+    """Return the legend entry of what `robot_bands` draws."""
+    from matplotlib.patches import Patch
+
+    return Patch(color=ORANGE, alpha=0.22, label="robot present")
+
+
+def is_followed(row: Mapping[str, Any]) -> bool:
+    """Whether the person did what was suggested in a row of a trace."""
+    return bool(row["suggestion"]) and row["suggestion"] == row["action"]
+
+
+def whole_numbers(*axes: Axis, **how: Any) -> None:
+    """Let axes be marked at whole numbers only."""
+    from matplotlib.ticker import MaxNLocator
+
+    for axis in axes:
+        axis.set_major_locator(MaxNLocator(integer=True, **how))
 
 
 def require() -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...declare.catalogue import Catalogue, catalogue
-from .style import BLUE, GREY, PAGE_WIDTH, PolicyLook, ink, legend_below, looks, sample, styled
+from .style import BLUE, GREY, PolicyLook, ink, legend_below, looks, panels, sample, styled, whole_numbers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,7 @@ def outcomes_figure(
         Texts of the report's language; English unless given, here and in the other figures.
     """
     shown = looks(cell["condition"] for cell in measures[0]["cells"])
-    figure, axes = _panels(len(measures), 2.5)
+    figure, axes = _grid(len(measures), 2.5)
     for axis, measure in zip(axes, measures, strict=True):
         for place, cell in enumerate(measure["cells"]):
             look = shown[cell["condition"]]
@@ -78,7 +78,7 @@ def differences_figure(measures: Rows, reference: str, texts: Catalogue | None =
     texts = texts or catalogue()
     names = [one["condition"] for one in max(measures, key=lambda one: len(one["differences"]))["differences"]]
     shown = looks(names)
-    figure, axes = _panels(len(measures), 0.8 + 0.3 * len(names))
+    figure, axes = _grid(len(measures), 0.8 + 0.3 * len(names))
     for axis, measure in zip(axes, measures, strict=True):
         for one in measure["differences"]:
             place = -names.index(one["condition"])
@@ -109,12 +109,9 @@ def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], en
     ends : tuple of float
         Lower and upper end of the scale.
     """
-    from .shown_figure import ShownFigure
-
     items = list(dict.fromkeys(row["item"] for row in questionnaire["items"]))
     shown = looks(row["condition"] for row in questionnaire["items"])
-    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.9 + 0.55 * len(items)), layout="constrained")
-    axis = figure.subplots()
+    figure, ((axis,),) = panels(height=0.9 + 0.55 * len(items), margin=0.0)
     apart = np.linspace(0.27, -0.27, len(shown)) if len(shown) > 1 else np.zeros(1)
     for (name, look), shift in zip(shown.items(), apart, strict=True):
         for row in questionnaire["items"]:
@@ -140,12 +137,7 @@ def flow_figure(flow: Rows, texts: Catalogue | None = None) -> Figure:
     texts : Catalogue, optional
     """
     texts = texts or catalogue()
-    from matplotlib.ticker import MaxNLocator
-
-    from .shown_figure import ShownFigure
-
-    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.7 + 0.36 * len(flow)), layout="constrained")
-    axis = figure.subplots()
+    figure, ((axis,),) = panels(height=0.7 + 0.36 * len(flow), margin=0.0)
     for place, row in enumerate(flow):
         stay = row["reached"] - row["left"]
         axis.barh(-place, stay, color=BLUE, height=0.6)
@@ -156,7 +148,7 @@ def flow_figure(flow: Rows, texts: Catalogue | None = None) -> Figure:
         axis.annotate(", ".join(said), (row["reached"], -place), (5, 0), textcoords="offset points", va="center")
     axis.set_yticks([-place for place in range(len(flow))], [row["stage"] for row in flow])
     axis.set_xlim(0, 1.18 * max(1, flow[0]["reached"]))
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    whole_numbers(axis.xaxis)
     axis.set_xlabel(texts.phrase("report.figures.reached"))
     return figure
 
@@ -181,16 +173,10 @@ def _in_language(axis: Axis, texts: Catalogue | None) -> None:
     axis.set_major_formatter(Formatter())
 
 
-def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    from .shown_figure import ShownFigure
-
+def _grid(count: int, height: float) -> tuple[Figure, list[Axes]]:
     columns = min(3, count)
-    rows = -(-count // columns)
-    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.3 + height * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
-    for axis in axes[count:]:
-        axis.set_visible(False)
-    return figure, axes[:count]
+    figure, axes = panels(-(-count // columns), columns, height=height, margin=0.3, shown=count)
+    return figure, list(axes.ravel()[:count])
 
 
 def _interval(axis: Axes, place: float, row: Mapping[str, Any], look: PolicyLook, *, vertical: bool) -> None:

@@ -7,8 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...team.trace import robot_is_at
-from .style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, entry, legend_below, styled
+from .style import (
+    BLUE,
+    GREEN,
+    GREY,
+    entry,
+    is_followed,
+    legend_below,
+    panels,
+    robot_bands,
+    robot_entry,
+    styled,
+    whole_numbers,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,22 +37,14 @@ def watched_figure(watched: Any) -> Figure:
     watched : WatchedEpisode
         What `assist.studies.reports.watch` returns.
     """
-    from matplotlib.patches import Patch
-    from matplotlib.ticker import MaxNLocator
-
-    from .shown_figure import ShownFigure
-
     people, steps = watched.episode.people, len(watched.gain)
-    figure = ShownFigure(figsize=(PAGE_WIDTH, 1.2 + 1.5 * len(people)), layout="constrained")
-    panels = figure.subplots(len(people), 2, sharex=True, sharey="col", squeeze=False)
+    figure, axes = panels(len(people), 2, height=1.5, margin=1.2, sharex=True, sharey="col")
     at = np.arange(steps)
-    for place, (gains, costs) in enumerate(panels):
+    for place, (gains, costs) in enumerate(axes):
         rows = [row for row in watched.trace if row["place"] == place]
         told = [row["step"] for row in rows if row["suggestion"]]
-        followed = [row["step"] for row in rows if row["suggestion"] and row["suggestion"] == row["action"]]
-        for step in (row["step"] for row in rows if robot_is_at(row, place)):
-            for axis in (gains, costs):
-                axis.axvspan(step - 0.5, step + 0.5, color=ORANGE, alpha=0.22, linewidth=0)
+        followed = [row["step"] for row in rows if is_followed(row)]
+        robot_bands((gains, costs), rows, place)
         gains.axhline(0.0, color=GREY, linewidth=1.0)
         gains.plot(at, watched.gain[:, place], color=BLUE, marker=".", linewidth=1.6)
         gains.plot(told, watched.gain[told, place], linestyle="none", marker="v", color=GREEN, markerfacecolor="white")
@@ -60,19 +63,19 @@ def watched_figure(watched: Any) -> Figure:
             heights = [np.nan if height is None else height for _, height in ends]
             costs.plot([step for step, _ in ends], heights, color=color, linestyle=line, drawstyle="steps-post")
         gains.set_title(people[place], loc="left", fontweight="bold")
+        whole_numbers(gains.xaxis, costs.xaxis)
         for axis in (gains, costs):
-            axis.xaxis.set_major_locator(MaxNLocator(integer=True))
             axis.grid(axis="y")
-    panels[len(people) // 2][0].set_ylabel("gain expected by Algorithm 1 (cost units)")
-    panels[len(people) // 2][1].set_ylabel("cost-to-go")
-    for axis in panels[-1]:
+    axes[len(people) // 2][0].set_ylabel("gain expected by Algorithm 1 (cost units)")
+    axes[len(people) // 2][1].set_ylabel("cost-to-go")
+    for axis in axes[-1]:
         axis.set_xlabel("step")
     about = f"Episode {watched.episode.episode} under the policy '{watched.episode.policy}'"
     figure.suptitle(textwrap.fill(about, 100))
     legend_below(figure, [
         entry("gain, or cost-to-go with the robot", color=BLUE, linewidth=1.6),
         entry("alone", color=GREY, linestyle="--"),
-        Patch(color=ORANGE, alpha=0.22, label="robot present"),
+        robot_entry(),
         entry("suggestion, followed", color=GREEN, marker="v"),
         entry("suggestion, not followed", color=GREEN, marker="v", markerfacecolor="white"),
     ])  # fmt: skip
