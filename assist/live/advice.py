@@ -91,7 +91,7 @@ class Reason(View):
 class Question(View):
     """A question to a person that is worth its cost; `Assistant.answer` takes the answer."""
 
-    person: AnyText
+    person: Annotated[AnyText, Field(description="Who is asked.")]
     goal: Annotated[
         AnyText | None,
         Field(description=('The robot asks "is this your goal?"; None if it asks "what did you do last?".')),

@@ -91,7 +91,7 @@ class Prospect(View):
 class Sight(View):
     """What a person saw last of a suggestion to a neighbour, in their present task."""
 
-    person: AnyText
+    person: Annotated[AnyText, Field(description="Who saw it.")]
     neighbour: Annotated[AnyText | None, Field(description="None where it is not said who it is.")]
     followed: Annotated[Truth, Field(description="Whether the neighbour followed the suggestion.")]
 
@@ -100,7 +100,7 @@ class Sight(View):
 class WhyPerson(View):
     """Why a person is helped now."""
 
-    prospect: Prospect
+    prospect: Annotated[Prospect, Field(description="What a suggestion to them is expected to bring.")]
     here: Annotated[Truth, Field(description="Whether the robot was with the person before.")]
     arrived: Annotated[Truth, Field(description="Whether it is there.")]
     others: Annotated[
@@ -115,7 +115,7 @@ class WhyPerson(View):
 class WhyQuestion(View):
     """Why a question is asked before anything is suggested."""
 
-    person: AnyText
+    person: Annotated[AnyText, Field(description="Who is asked.")]
     goal: Annotated[AnyText | None, Field(description="The goal that is asked about; None for the last action.")]
     worth: Annotated[
         AnyNumber,
