@@ -21,7 +21,8 @@ import numpy as np
 from tables import cell, more_option, record_option, write_record
 
 from assist.certify import upper_bound
-from assist.learning import compare_rules, fit_influence, places_of, replayed, seen_families, with_neighbours
+from assist.learning import compare_rules, fit_influence, replayed, seen_families, with_neighbours
+from assist.people.neighbourhood import NOBODY_SEES
 from assist.people.neighbours import Neighbours, SeenOutcome
 from assist.people.ranges import Population
 from assist.people.trust_rules import constant
@@ -122,7 +123,7 @@ class Blind:
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return the policy's action."""
-        return self.policy(replace(team, neighbours=None))
+        return self.policy(replace(team, neighbours=NOBODY_SEES))
 
 
 @main.command()
@@ -251,7 +252,7 @@ def _recovered(task: Any, rate: float, people: int, tasks: int, populations: int
         order = np.random.default_rng(number).permuted(np.tile(np.arange(people), (tasks, 1)), axis=1)
         teams = order[:, : people // 3 * 3].reshape(-1, 3)
         _ = simulate(pool, ToAnybody(number), humans=teams, episodes=len(teams), seed=number, trace=trace)
-        log = with_neighbours(replayed(task, trace), neighbours, places_of(trace))
+        log = with_neighbours(replayed(task, trace), neighbours)
         fit = fit_influence(log, families["outcome"], carry=False)
         low, high = fit.intervals["eta_seen"]
         estimates.append(fit.parameters["eta_seen"])

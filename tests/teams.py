@@ -29,6 +29,7 @@ def state(
     return TeamState(
         0, ~choices.goal[at], np.full((1, len(pool.setting.robots)), location), model, known, pool.policies,
         travel or pool.setting.travel(len(x)), fleet=pool.setting.fleet,
+        neighbours=pool.setting.neighbourhood(len(x)).believed,
     )  # fmt: skip
 
 

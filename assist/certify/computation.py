@@ -185,14 +185,11 @@ class Computation:
             best = kind.best(visits)
             still = math.ceil((len(kinds) - number) / self.workers)  # rounds that remain, including this one
             share = (until - time.perf_counter()) / still
-            if kind.envelope is not None:
-                parts[number] = visits, Lifted.of(best)
-                return advance(1)
-            parts[number] = visits, solve(
+            parts[number] = visits, kind.envelope.bound(best, lambda best: solve(
                 visits.pomdp, gap=self.gap, time_limit=None if until == math.inf else max(0.0, share),
                 memory_limit_mb=self.memory_limit_mb, best=best,
                 further_beliefs=None if recorder is None else recorder.of(kind.places, visits), bounds=go_on,
-            )  # fmt: skip
+            ))  # fmt: skip
             advance(1)
 
         try:

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,18 +32,37 @@ from numpy.typing import NDArray
 from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.neighbourhood import Neighbourhood
-from ..person.attention_subproblem import AttentionSubproblem
+from ..person.attention_subproblem import AttentionSubproblem, backwards
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead
+from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
+from ..person.solver import Solution
 from ..team.pool import Pool
 from ..team.seen import gained
 
 Ints = NDArray[np.int64]
 
 
+class OwnTheta:
+    """The bounds on the subproblem of a person who sees nobody: theta moves by suggestions to themselves only."""
+
+    def tail(self, free: AttentionSubproblem) -> Floats:
+        """Return the values with free attention, shape (P * n, H, T), of a subproblem without prices."""
+        value = initial_upper_bounds(free.pomdp)
+        value_iteration(free.pomdp, value, tolerance=1e-5)
+        return value
+
+    def solved(self, visits: AttentionSubproblem, tail: Floats) -> QMDP:
+        """Return the values of a subproblem with observed type and theta, with their policy."""
+        return backwards(visits, tail)
+
+    def bound(self, best: QMDP, search: Callable[[QMDP], Solution]) -> Solution | Lifted:
+        """Return a bound with type and theta out of sight, which a search finds from these values."""
+        return search(best)
+
+
 @dataclass(frozen=True, eq=False)
-class Envelope:
+class Envelope(OwnTheta):
     """How far theta comes in a step by what a person sees of neighbours, for each value of a grid.
 
     Attributes
@@ -57,8 +77,8 @@ class Envelope:
     high: Floats
 
     @classmethod
-    def of(cls, pool: Pool, team: tuple[int, ...], places: tuple[int, ...]) -> Envelope | None:
-        """Return the envelope of people at some places of a team; None if they see nothing that moves theta.
+    def of(cls, pool: Pool, team: tuple[int, ...], places: tuple[int, ...]) -> OwnTheta:
+        """Return the envelope of people at some places of a team, or `OwnTheta` if they see nothing that moves theta.
 
         Raises
         ------
@@ -66,9 +86,9 @@ class Envelope:
             The rule has no envelope.
         """
         seen, grid = pool.setting.neighbourhood(len(team)), pool.policies[0].pomdp.grid
-        if seen is None or not seen.sees[list(places)].any():
-            return None
         events = _events(pool, team, places, seen)
+        if not events:
+            return OwnTheta()
         low, high = [grid.theta], [grid.theta]
         for _ in pool.setting.robots:
             low.append(np.min([_envelope(seen, low[-1], *one)[0] for one in events], axis=0))
@@ -87,6 +107,14 @@ class Envelope:
             inside = (low <= theta) & (theta <= high) & (count == count[t])
             found[..., inside] = np.maximum(found[..., inside], value[..., t, None])
         return found
+
+    def tail(self, free: AttentionSubproblem) -> Floats:
+        """Return the values with free attention, as in `OwnTheta`."""
+        return self.solved(free).value_mdp
+
+    def bound(self, best: QMDP, search: Callable[[QMDP], Solution]) -> Solution | Lifted:  # noqa: ARG002
+        """Return these values as the bound."""
+        return Lifted.of(best)
 
     def solved(
         self, visits: AttentionSubproblem, tail: Floats | None = None, *, tolerance: float = 1e-5, sweeps: int = 10_000,
@@ -161,10 +189,29 @@ def _events(
     """Return the range of gains of each kind of neighbours, and the largest weight with which it is seen."""
     found: dict[int, float] = {}
     for k in places:
-        for j in np.flatnonzero(seen.sees[k]).tolist():
+        for j, weight in seen.seen_from(k).items():
             model = int(pool.model[team[j]])
-            found[model] = max(found.get(model, 0.0), float(seen.sees[k, j]))
+            found[model] = max(found.get(model, 0.0), weight)
     return [(_range(pool.policies[model]), weight) for model, weight in sorted(found.items())]
+
+
+def require_envelope(pool: Pool, members: Iterable[int], paths: int) -> None:
+    """Raise an error if a bound on some people of a pool cannot have what they see of each other.
+
+    Raises
+    ------
+    ValueError
+        A task is truncated, or sample paths are asked for.
+    """
+    members = list(members)
+    if not pool.setting.neighbourhood(len(members)).watched.any():
+        return
+    for model in set(pool.model[members].tolist()):
+        pool.policies[model].require_enumerated(
+            "a bound with neighbours who see each other", "what they come to see may move theta in any state"
+        )
+    if paths:
+        raise ValueError(f"paths {paths}: expected 0, as sample paths do not have what people see of neighbours")
 
 
 def _range(policy: Policy) -> tuple[float, float]:

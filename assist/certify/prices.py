@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 from planner.system.progress import Progress
 
 from ..people.decision import Floats
-from ..person.attention_subproblem import AttentionSubproblem, backwards
+from ..person.attention_subproblem import AttentionSubproblem
 from ..person.memory_needed import first_bounds_bytes, policy_bytes, require_room
-from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
+from ..person.qmdp import QMDP, look_ahead
 from ..person.time_expansion import HERE, TimeExpansion
 from ..person.travel import Travel
 from ..person.truncated_bound import OuterRelaxation, TruncatedProblem, likely
@@ -39,7 +39,7 @@ from ..team.pool import Pool
 from ..team.simulate import simulate
 from ..team.state import TeamAction, TeamState
 from .action_prices import supply
-from .envelope import Envelope
+from .envelope import Envelope, OwnTheta
 from .options import BoundOptions
 
 Ints = NDArray[np.int64]
@@ -66,8 +66,8 @@ class SubproblemKind:
         Number of pairs of state and step that are enumerated if there are prices and an outer relaxation.
     share : float
         Probability that a person at these places has this subproblem: that of a goal, or 1.
-    envelope : Envelope or None
-        How far their theta comes by what they see of neighbours.
+    envelope : OwnTheta
+        How far their theta comes, and what follows from it.
     """
 
     pool: Pool
@@ -78,7 +78,7 @@ class SubproblemKind:
     between: OuterRelaxation | None = None
     pairs: int = 0
     share: float = 1.0
-    envelope: Envelope | None = None
+    envelope: OwnTheta = field(default_factory=OwnTheta)
 
     @property
     def count(self) -> float:
@@ -87,7 +87,7 @@ class SubproblemKind:
 
     def best(self, visits: AttentionSubproblem) -> QMDP:
         """Solve the subproblem with observed type and theta, backwards from the steps with free attention."""
-        return backwards(visits, self.tail) if self.envelope is None else self.envelope.solved(visits, self.tail)
+        return self.envelope.solved(visits, self.tail)
 
     def with_free_attention(self) -> float:
         """Return an upper bound on the value at any prices: that with free attention and observed beta and theta."""
@@ -197,11 +197,7 @@ def kinds_of(
         free = AttentionSubproblem.of(one.problem, entry, entry_steps)
         places = tuple(members[key])
         envelope = Envelope.of(pool, team, places)
-        if envelope is None:
-            tail = initial_upper_bounds(free.pomdp)
-            value_iteration(free.pomdp, tail, tolerance=1e-5)
-        else:
-            tail = envelope.solved(free).value_mdp
+        tail = envelope.tail(free)
         visits = (
             free if one.outer is not None else AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window))
         )

@@ -63,6 +63,7 @@ from ..team.state import TeamPolicy
 from . import sample_paths
 from .certificate import Certificate, returns
 from .computation import Computation, InterruptedBound
+from .envelope import require_envelope
 from .information_relaxation.confidence import SampledBound
 from .options import BoundOptions
 from .prices import kinds_of
@@ -225,13 +226,7 @@ def upper_bound(
     members = members_of(pool, team)
     if whole("paths", paths, 0):
         pool.choices(members[0]).require_one_goal("the bound from sample paths")
-    if pool.setting.neighbourhood(len(members)) is not None:
-        for model in set(pool.model[list(members)].tolist()):
-            pool.policies[model].require_enumerated(
-                "a bound with neighbours who see each other", "what they come to see may move theta in any state"
-            )
-        if paths:
-            raise ValueError(f"paths {paths}: expected 0, as sample paths do not have what people see of neighbours")
+    require_envelope(pool, members, paths)
     travel = travel or pool.setting.travel(len(members))
     if len(travel) != len(members):
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import click
 
 from ..declare.options import Given, setting_options
+from ..people.neighbours import SeenOutcome
 from .options.common import figures_option, json_option, out_option, separate_files, together
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, folds_option, method_of, reading_options, task_log_options, with_task
+from .options.person import TRUST
 from .options.settings import EstimateSetting
 from .options.trust import AdviceOptions, advice_of, advice_options
 from .output.comparisons import ComparisonFiles, models_compared, rules_compared, show_comparison
@@ -39,7 +43,8 @@ def models(
     from ..drawing.plots import style
 
     given.refuse(
-        ("goal_prior", "seed", "theta_per_episode", "confidence", "chooses"), "on a comparison of choice models"
+        ("goal_prior", "seed", "theta_per_episode", "neighbours", "confidence", "chooses"),
+        "on a comparison of choice models",
     )
     with one_line_errors("interrupted; states evaluated on demand are saved"):
         found, file, inputs = log.found()
@@ -55,18 +60,25 @@ def models(
 @command("compare rules kitting/paper log.csv", "rules")
 @task_log_options(required=False)
 @folds_option
+@click.option(
+    "--influence", "trust", type=click.Choice(TRUST),
+    help="Compare rules of what people see of neighbours beside this trust rule, in place of trust rules.",
+)  # fmt: skip
 @advice_options
 @comparison_files
 @reading_options
 @setting_options(EstimateSetting)
 def rules(
-    log: TaskLog, folds: int, judged: AdviceOptions, files: ComparisonFiles, reading: ReadingOptions,
+    log: TaskLog, folds: int, trust: str | None, judged: AdviceOptions, files: ComparisonFiles, reading: ReadingOptions,
     setting: EstimateSetting, given: Given[EstimateSetting],
 ) -> None:  # fmt: skip
     """Compare trust rules on a LOG of people's actions, or on judgements with --advice.
 
-    Of --advice, base rates, a theta that all people share, and rules of given steps are compared, too.
+    Of --advice, base rates, a theta that all people share, and rules of given steps are compared, too. With --influence
+    and the table `neighbours`, rules by which people are moved by what they see of each other are compared.
     """
+    from ..learning.neighbours_in_logs import with_neighbours
+
     given.refuse(("goal_prior", "seed", "chooses"), "on a comparison of trust rules")
     method = method_of(setting)
     with one_line_errors("interrupted; states evaluated on demand are saved"):
@@ -75,11 +87,15 @@ def rules(
             separate_files({"--out": files.out}, {"--advice": judged.advice})
             show_comparison(rules_compared(judgements, str(judged.advice), method, folds, carry=True), files)
             return
+        if (trust is None) != (setting.neighbours is None):
+            raise click.UsageError("--influence and neighbours: expected both, such as --set neighbours.sees=next")
         task, file, inputs = log.found()
         separate_files({"--out": files.out}, inputs)
         seen = with_task(task, file, reading, setting)
-        carry = not setting.theta_per_episode
-        show_comparison(rules_compared(seen.observations(), seen.log.name, method, folds, carry=carry), files)
+        # Whatever the rule in the table, who sees whom matters here.
+        graph = setting.neighbours and replace(setting.neighbours, rule=SeenOutcome())
+        people, carry = partial(with_neighbours, seen, graph), not setting.theta_per_episode
+        show_comparison(rules_compared(people, seen.log.name, method, folds, carry=carry, beside=trust), files)
     if not seen.complete:
         sys.exit(ExitCode.FAILED)
 

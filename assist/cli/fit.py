@@ -107,7 +107,8 @@ def fit(
             seen = with_task(found, file, reading, setting, table=chooses is not None)
         method = method_of(setting)
         if what.trust:
-            complete = show_influence(seen, what.trust, method, not setting.theta_per_episode, files)
+            carry, neighbours = not setting.theta_per_episode, setting.neighbours
+            complete = show_influence(seen, what.trust, method, carry, neighbours, files)
         else:
             model: Model | None = "misconceptions" if what.misconceptions else "terms" if what.terms else chooses
             complete = show_people(learned(seen, method, model, setting.seed, reading.jobs), files)
@@ -133,6 +134,7 @@ def _require_one_model(
         apart({name: value, "--influence": what.trust})
     apart({"--family": files.family, "--terms": what.terms})
     apart({"--goals": what.problems, "--figures": files.figures})
+    apart({"--write-population": files.population, "neighbours": setting.neighbours})
     if files.population and setting.chooses:
         raise click.UsageError(
             "--write-population and chooses: a population file has no functions; expected one of them"
@@ -140,6 +142,6 @@ def _require_one_model(
     if what.trust not in (None, "paper"):
         given.refuse(RATES, f"with --influence {what.trust}")
     if not what.trust:
-        given.refuse(["theta_per_episode"], "without --influence")
+        given.refuse(["theta_per_episode", "neighbours"], "without --influence")
     if not what.problems:
         given.refuse(["goal_prior"], "without --goals")

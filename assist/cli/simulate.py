@@ -121,8 +121,7 @@ def simulate(
                 shown = Illustration.of(made.pool, one, results[-1], **options)
                 alone = None if name == "none" else shown.alone
                 seen = made.pool.setting.neighbourhood(humans)
-                sees = None if seen is None else seen.sees
-                style.save(episode_figure(shown.episode, shown.trace, alone, sees), files.figure)
+                style.save(episode_figure(shown.episode, shown.trace, alone, seen), files.figure)
     if files.out:
         write_records(files.out, (episode.record() for result in results for episode in result))
     if files.trace:

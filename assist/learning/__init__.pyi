@@ -27,7 +27,6 @@ from .log import Log as Log
 from .log import read_log as read_log
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
 from .misconception_fit import fit_misconception as fit_misconception
-from .neighbours_in_logs import places_of as places_of
 from .neighbours_in_logs import with_neighbours as with_neighbours
 from .observations import EvaluatedStates as EvaluatedStates
 from .observations import Observations as Observations

@@ -23,7 +23,7 @@ from typing import Any, cast
 from planner.system.results import Result
 
 from ..people.action_names import words_of, wrong_form
-from .log_files import NEEDED, Taken, is_hidden, named_rows, own_names, read_records, tidy
+from .log_files import IN_TEAM, NEEDED, Taken, is_hidden, named_rows, own_names, read_records, tidy
 from .log_json import Broken, Names, Row
 from .log_steps import moment
 
@@ -73,6 +73,12 @@ class Entry:
         None if the person did nothing.
     suggestion, executed : str or None
         The robot's suggestion, and its own action, before the person acted.
+    place : int or None
+        The person's place in their team, from 0; None if unknown, as `order` and `since` are.
+    order : int or None
+        Number of the action among the events of the whole team, of which all episodes of the log are.
+    since : int or None
+        Number of the event by which the person came, or came back.
     """
 
     line: int
@@ -82,6 +88,9 @@ class Entry:
     action: str | None
     suggestion: str | None = None
     executed: str | None = None
+    place: int | None = None
+    order: int | None = None
+    since: int | None = None
 
     @property
     def names(self) -> Names:
@@ -259,7 +268,7 @@ def _log(records: Iterable[Row], gaps: bool, name: str, taken: Taken) -> Log:
             entries.append(
                 Entry(
                     number, str(record["person"]), str(record["episode"]), record["step"], record["action"],
-                    record.get("suggestion"), record.get("executed"),
+                    record.get("suggestion"), record.get("executed"), *(record.get(name) for name in IN_TEAM),
                 )
             )  # fmt: skip
         else:

@@ -27,10 +27,11 @@ from ..people.action_names import words_of, wrong_form
 from .log_json import Broken, Names, Row, read_json
 from .log_steps import is_plain, number_times, whole
 
-COLUMNS = ("person", "episode", "step", "action", "suggestion", "executed")
+COLUMNS = ("person", "episode", "step", "action", "suggestion", "executed", "place", "order", "since")
 NEEDED = COLUMNS[:4]
 NAMES = COLUMNS[:2]
-ACTIONS = COLUMNS[3:]
+ACTIONS = COLUMNS[3:6]
+IN_TEAM = COLUMNS[6:]
 
 DASHES = frozenset(("-", "--", "---", "\N{EN DASH}", "\N{EM DASH}", "\N{MINUS SIGN}"))
 """Notations of no suggestion; no action has such a name."""
@@ -183,6 +184,8 @@ def tidy(rows: Iterable[Row], taken: Taken, *, gaps: bool = False) -> list[Row]:
         if integer is not None:
             record["step"] = integer
             taken.steps += [str(step)] * (not is_plain(step))
+        for key in IN_TEAM:
+            record[key] = value if type(value := record.get(key)) is int else whole(value)
     if gaps:
         taken.times, unclear = number_times(found)
         midnight = "times of the clock that seem to go on after midnight; expected dates, too"

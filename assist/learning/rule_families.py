@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
-from ..people.neighbours import SeenFollowed, SeenNothing, SeenOutcome, SeenRule, SeenSteps, WithSeen
+from ..people.neighbours import SeenFollowed, SeenOutcome, SeenRule, SeenSteps, WithSeen
 from ..people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
 from .intervals import Interval
 from .likelihood import Method
@@ -37,12 +37,15 @@ class RuleFamily:
         Values that are tried before the best are refined.
     logarithms : frozenset of str
         Parameters whose values are their logarithms.
+    beside : str
+        What beside suggestions to oneself moves theta, for the name of the rule.
     """
 
     make: Callable[..., TrustRule]
     ranges: Mapping[str, Interval]
     tried: tuple[tuple[float, ...], ...]
     logarithms: frozenset[str] = frozenset()
+    beside: str = ""
 
     def parameter(self, name: str, value: float) -> float:
         """Return the parameter that a value stands for."""
@@ -101,7 +104,6 @@ def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
     """
     mine = own if isinstance(own, RuleFamily) else RuleFamily.of(own)
     kinds: dict[str, tuple[Callable[..., SeenRule], dict[str, Interval], tuple[tuple[float, ...], ...]]] = {
-        "none": (SeenNothing, {}, ((),)),
         "outcome": (SeenOutcome, {"eta_seen": (0.0, 1.0)}, ((0.03,), (0.1,), (0.3,))),
         "followed": (SeenFollowed, {"rise": (0.0, 1.0), "fall": (0.0, 1.0)}, ((0.03, 0.03), (0.1, 0.1))),
         "steps": (
@@ -117,10 +119,10 @@ def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
 
         return make
 
-    return {
+    return {"none": mine} | {
         name: RuleFamily(
             made(seen, ranges), {**mine.ranges, **ranges},
-            tuple((*one, *other) for one in mine.tried for other in tried), mine.logarithms,
+            tuple((*one, *other) for one in mine.tried for other in tried), mine.logarithms, f", neighbours {name}",
         )
         for name, (seen, ranges, tried) in kinds.items()
     }  # fmt: skip

@@ -29,7 +29,7 @@ from .likelihood import Method
 from .likelihood_table import LikelihoodTable
 from .observations import Observations
 from .population import Margin, PopulationFit
-from .rule_families import RuleFamily, families, parameters_of
+from .rule_families import RuleFamily, families, parameters_of, seen_families
 from .rule_search import RuleSearch
 
 
@@ -132,7 +132,7 @@ class InfluenceFit(Result):
 
 def fit_influence(
     observations: Evidence | Sequence[Observations], rule: str | TrustRule | RuleFamily, method: Method | None = None,
-    *, carry: bool = True,
+    *, seen: str = "none", carry: bool = True,
 ) -> InfluenceFit:  # fmt: skip
     """Return each person's influence under a trust rule.
 
@@ -146,6 +146,9 @@ def fit_influence(
         The name of a shipped rule, whose parameters are estimated; or a rule, taken unchanged; or a family of rules.
     method : Method, optional
         Level of the intervals, lapse, and what is known beforehand.
+    seen : str
+        Name of the rule by which theta also moves by what people saw of neighbours (`with_neighbours`), whose
+        parameters are estimated, too; one of `seen_families`.
     carry : bool
         Whether theta is carried from episode to episode, in the order of their names.
 
@@ -161,7 +164,10 @@ def fit_influence(
     if isinstance(rule, str) and rule not in known:
         raise ValueError(f"trust '{rule}': expected one of {', '.join(known)}, or a rule")
     of_name = known[rule] if isinstance(rule, str) else rule
-    family = of_name if isinstance(of_name, RuleFamily) else RuleFamily.of(of_name)
+    beside = seen_families(of_name)
+    if seen not in beside:
+        raise ValueError(f"seen '{seen}': expected one of {', '.join(beside)}")
+    family = beside[seen]
     log = LikelihoodTable.of_advised(observations_of(observations), method, carry=carry)
     search = RuleSearch(log, family, carry)
     values, intervals = search.best(), {}
@@ -202,9 +208,9 @@ def fit_influence(
         ),
     )  # fmt: skip
     chosen = family.rule(values)
-    name = type(chosen).__name__ if isinstance(rule, RuleFamily) else name
+    name = type(getattr(chosen, "own", chosen)).__name__ if isinstance(rule, RuleFamily) else name
     return InfluenceFit(
-        name, parameters_of(chosen), intervals, population, value, carry, tuple(people), chosen, margins
+        name + family.beside, parameters_of(chosen), intervals, population, value, carry, tuple(people), chosen, margins
     )
 
 

@@ -133,8 +133,9 @@ class Assistant(Reports, Desk):
         object
             What was taken back by `undo`: the action, None if it was one that perhaps was missed, or the answer.
         """
-        found = self.take(event)
-        self.records.append(TeamRecord(n=len(self.records) + 1, event=event, step=self._step))
+        number = len(self.records) + 1
+        found = self.take(event, number=number)
+        self.records.append(TeamRecord(n=number, event=event, step=self._step))
         return found
 
     def recommend_all(self) -> tuple[Advice, ...]:
@@ -287,7 +288,7 @@ class Assistant(Reports, Desk):
 
     def _again(self, record: TeamRecord) -> None:
         """Apply a recorded event, and the advice after it."""
-        self.take(record.event)
+        self.take(record.event, number=record.n)
         if record.advices:
             self.follow(record.advices, record.step)
         self.records.append(record)

@@ -111,7 +111,7 @@ def believe_again(team: Roster, record: RosterEntry, setting: Setting) -> bool:
     team.belief[record.place], record.joint, record.earlier, erred = record.before, None, None, False
     for count in range(len(record.steps) + 1):
         tell(team, record, _told_at(record, count), setting)
-        see(team, record, [one for one in record.saw if one.steps == count], setting)
+        see(team, record, [one for one in record.saw if one.steps == count])
         if count < len(record.steps):
             erred = believe(team, record, record.steps[count], setting)
     return erred

@@ -6,7 +6,7 @@ little while a decision is made, and all else is computed only on request.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeVar
@@ -19,14 +19,15 @@ from planner import CostToGo
 from ..declare.refusals import InapplicableError
 from ..people.choices import Choices
 from ..people.decision import Floats, same_cost
-from ..people.neighbourhood import Neighbourhood
+from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from ..person.beliefs import Beliefs
 from ..person.joint_belief import is_certain
 from ..person.policy import Policy
 from ..person.settings import Setting
 from ..person.ties import first_best
-from ..team.outlook import outlook
-from ..team.state import BASE, TeamState, by_model, worth_of_actions
+from ..team.attention import NoAssistance
+from ..team.outlook import beside
+from ..team.state import BASE, TeamPolicy, TeamState, by_model, worth_of_actions
 from .advice import Question
 from .contrast import Contrast, contrast
 from .explanation import Cause, Explanation, Prospect, Sight, WhyNothing, WhyPerson, WhyQuestion, WhyStep
@@ -62,8 +63,10 @@ class DecisionPoint:
         Name of the team's policy.
     extra : float
         What a suggestion by this robot costs more than in people's problems, in cost units.
-    neighbours : Neighbourhood or None
-        Who sees whom, if it moves theta and the robots know of it.
+    neighbours : Neighbourhood
+        What people see of each other, as far as the robots know.
+    policy : callable
+        Returns the team's policy.
     saw : mapping of int to Sight
         What people saw last of a neighbour in their present task, by place.
     """
@@ -81,7 +84,8 @@ class DecisionPoint:
     moving: Floats
     rule: str
     extra: float = 0.0
-    neighbours: Neighbourhood | None = None
+    neighbours: Neighbourhood = NOBODY_SEES
+    policy: Callable[[], TeamPolicy] = NoAssistance
     saw: Mapping[int, Sight] = field(default_factory=dict)
 
     @classmethod
@@ -92,8 +96,8 @@ class DecisionPoint:
         moving: Floats,
         rule: str,
         extra: float,
+        policy: Callable[[], TeamPolicy],
         asked: Question | None = None,
-        neighbours: Neighbourhood | None = None,
     ) -> DecisionPoint:
         """Return a copy of the present state of a team, in which a question is asked as well.
 
@@ -111,7 +115,7 @@ class DecisionPoint:
             tuple(team.by_name), tuple(team.problems), policies, team.beliefs.of(np.arange(count)),
             copy(team.model), copy(team.robot), copy(team.present), copy(team.ended),
             {k: _why(one) for k, one in sorted(questions.items())},
-            here, moving[:count], rule, extra, neighbours,
+            here, moving[:count], rule, extra, team.neighbours, policy,
             {
                 k: Sight(one.name, one.saw[-1].neighbour, one.saw[-1].followed)
                 for k, one in enumerate(team.records) if one.saw
@@ -314,29 +318,19 @@ class DecisionPoint:
         cost = float(policy.pomdp.robot_costs[row, robot])
         return Prospect(
             self.names[place], policy.pomdp.suggestion(row, robot), float(q[robot] - q[0]) + cost,
-            cost + self.extra, float(self.moving[place]), self._seen_by_others(place, robot),
+            cost + self.extra, float(self.moving[place]), float(self._beside[place, robot]),
         )  # fmt: skip
 
-    def _seen_by_others(self, place: int, robot: int) -> float:
-        """Return what a suggestion is worth for those who see it, if the policy considers them."""
-        if self.neighbours is None or self.rule != "attention-outlook" or not robot:
-            return 0.0
-        return float(self._outlook[place, robot])
-
     @cached_property
-    def _outlook(self) -> Floats:
-        """What the robot actions towards each person are worth for those who see it, shape (P, R)."""
-        active = self.present & ~self.ended
-        travel = Setting().travel(len(self.names))
+    def _beside(self) -> Floats:
+        """What the robot actions towards each person are worth beside them to the policy, shape (P, R)."""
+        size, active = len(self.names), self.present & ~self.ended
         actions = max(policy.pomdp.suggested.shape[1] for policy in self.policies)
-        known = self.beliefs.of(np.arange(len(self.names)))
-        assert self.neighbours is not None
-        size = len(self.names)
-        seen = Neighbourhood(self.neighbours.rule, self.neighbours.sees[:size, :size])
         team = TeamState(
-            0, active[None], np.full((1, 1), BASE), self.model[None], known, self.policies, travel, neighbours=seen
-        )
-        return outlook(team, actions, Policy.value)[0]
+            0, active[None], np.full((1, 1), BASE), self.model[None], self.beliefs.of(np.arange(size)), self.policies,
+            Setting().travel(size), neighbours=self.neighbours,
+        )  # fmt: skip
+        return beside(self.policy(), team, actions)[0]
 
     def _values(self, policy: Policy, places: NDArray[np.int64]) -> Floats:
         """Return the Q-values of the robot actions towards some people of one policy, expected over task states."""

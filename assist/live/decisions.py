@@ -29,7 +29,6 @@ from .live_questions import LiveQuestions
 from .live_task import LiveTask
 from .robot_places import RobotPlaces
 from .roster import Roster
-from .seen_suggestions import neighbourhood
 from .uncertain_actions import prepare_uncertain
 
 
@@ -90,8 +89,7 @@ class Decisions:
         rule = policy if isinstance(policy, str) else getattr(policy, "name", getattr(policy, "__name__", "your own"))
         location = self._places.at[number]
         moving = self._places.cost(number, location)
-        seen = neighbourhood(self._team, self._setting)
-        return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number), asked, seen)
+        return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number), self.team_policy, asked)
 
     def _extra(self, number: int) -> float:
         """Return what a suggestion by a robot costs more than in people's problems."""
@@ -154,7 +152,7 @@ class Decisions:
             step, active[None], np.array([self._places.at]), t.model[None], t.beliefs,
             [task.policy for task in t.tasks], self._places.travel, t,
             free=~np.array([self._places.under_way]), fleet=self._setting.fleet,
-            neighbours=neighbourhood(t, self._setting),
+            neighbours=t.neighbours,
         )  # fmt: skip
 
     def team_policy(self) -> TeamPolicy:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -15,6 +15,7 @@ from .advice import Advice
 from .event_base import Event
 from .explanation import Explanation
 from .record import Record
+from .roster import Saw
 
 R = TypeVar("R", bound=Record)
 
@@ -119,6 +120,10 @@ class History(ABC, Generic[R]):
     @abstractmethod
     def place(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
+
+    def saw(self, person: str) -> Sequence[Saw]:  # noqa: ARG002
+        """Return what a person saw of suggestions to others in their task."""
+        return ()
 
     @abstractmethod
     def robot(self, number: int = 1) -> dict[str, Any]:

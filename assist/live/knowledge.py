@@ -37,7 +37,7 @@ from .decisions import Decisions
 from .live_task import LiveTask
 from .robot_places import RobotPlaces
 from .roster import Roster, RosterEntry, Step, Told
-from .seen_suggestions import Shown, forget_last, let_see, neighbourhood, shown_by
+from .seen_suggestions import Shown, forget_last, let_see, onlookers, shown_by
 from .uncertain_actions import seen_of
 
 Task = CostToGo | Goals | Policy
@@ -104,14 +104,16 @@ class Knowledge:
         self.roster = Roster(len(self._places.travel))
         self._decisions = Decisions(self.setting, policy, self.roster, self._places)
 
-    def take(self, event: Change, time: float = 0.0) -> Any:
-        """Apply an event; return what was taken back, if anything.
+    def take(self, event: Change, time: float = 0.0, *, number: int) -> Any:
+        """Apply an event with a number; return what was taken back, if anything.
 
         Raises
         ------
         ValueError
             It is not possible. Nothing has changed.
         """
+        self.roster.event = number
+        self.roster.touched.clear()
         found = event.change(self, time)
         self._advice = None
         if event.concerned is not None:
@@ -174,24 +176,34 @@ class Knowledge:
             if task is not None or population is not None or belief is not None:
                 raise ValueError(f"{person} returns to the task that they left; `begin` gives them another")
             team.present[place] = True
+            self._came_or_went(team.records[place])
         else:
             place = len(team.records)
             if place == len(team) and self._places.distance is not None:
                 raise ValueError(
                     f"{person}: there is a place for {place} people; expected a larger matrix of distances"
                 )
-            self.setting.neighbourhood(place + 1)  # raises an error if the graph has no station for the person
+            seen = self.setting.neighbourhood(place + 1)  # raises an error if the graph has no station for the person
             name = next(iter(self.tasks)) if task is None else task
             problem = self._problem(name, population)
             if place == len(team):
                 self._places.grow(2 * place)
                 team.resize(2 * place)
             team.add(person, problem, name, belief)
+            team.neighbours = seen.believed
+            self._came_or_went(team.records[place])
 
     def left(self, person: str) -> None:
         """Remove a person from the team, finished or not."""
         record = self.known(person)
         self.roster.present[record.place], record.question = False, None
+        self._came_or_went(record)
+
+    def _came_or_went(self, record: RosterEntry) -> None:
+        """Note that a person is there, or is not any more, for whom sees them."""
+        record.came = self.roster.event
+        for other, _ in onlookers(self.roster, record):
+            self.roster.changed(other)
 
     def began(self, person: str, task: str | None = None, *, population: str | None = None) -> None:
         """Put a person at the beginning of a task, as `Reports.begin`; `population` is the name of a prior."""
@@ -241,7 +253,7 @@ class Knowledge:
         if seen is None and not is_uncertain(record, self.setting.observation):
             slot = problem.slot(row, action or "")
             to = problem.after(row, slot)
-            step = Step(problem.place(row), robot, slot, problem.choices.name(row, slot), suggestion)
+            step = Step(problem.place(row), robot, slot, problem.choices.name(row, slot), suggestion, shown=shown)
             erred = believe(self.roster, record, step, self.setting)
         else:
             if seen is not None and likelihoods is not None:
@@ -266,7 +278,7 @@ class Knowledge:
         if isinstance(answer, str):
             if not record.steps:
                 raise InapplicableError("nothing_to_ask", person=person)
-            self.shown_of(person, answer, heard=False, uncertain=True)
+            self._require_all_seen(uncertain=True)
             correct(self.roster, record, record.problem.named(answer), self.setting)
         else:
             question = record.question
@@ -319,35 +331,29 @@ class Knowledge:
         Refusal
             The action is uncertain, or not possible.
         """
-        if neighbourhood(self.roster, self.setting) is None:
-            return None
-        if uncertain or action is None:
-            raise Refusal("other", why="neighbours: expected actions that are all seen as they are")
+        self._require_all_seen(uncertain=uncertain or action is None)
         record = self.known(person)
         robot = int(self.roster.robot[record.place]) if heard else 0
-        return shown_by(self.roster, record, action, robot) if robot else None
+        return None if robot == 0 or action is None else shown_by(self.roster, record, action, robot)
 
-    @property
-    def sees_neighbours(self) -> bool:
-        """Whether people see each other helped, and the robots know of it."""
-        return neighbourhood(self.roster, self.setting) is not None
+    def _require_all_seen(self, *, uncertain: bool) -> None:
+        if uncertain and self.roster.neighbours.needs_all_seen:
+            raise Refusal("other", why="neighbours: expected actions that are all seen as they are")
 
     def sees(self, person: str) -> dict[str, float]:
         """Return whom a person sees of those who are present, with the weight of each."""
-        seen, place = neighbourhood(self.roster, self.setting), self.entry(person).place
-        weights = {} if seen is None else dict(enumerate(seen.sees[place].tolist()))
-        there = [self.entry(name) for name in self.people]
-        return {one.name: weights[one.place] for one in there if weights.get(one.place)}
+        seen = self.roster.neighbours.seen_from(self.entry(person).place)
+        each = {self.roster.records[place]: weight for place, weight in seen.items()}
+        return {other.name: weight for other, weight in each.items() if self.roster.present[other.place]}
 
     def was_shown(self, person: str) -> bool:
         """Return whether neighbours may have seen the last action of a person."""
         record = self.known(person)
-        told = bool(record.steps) and record.steps[-1].suggestion is not None
-        return told and neighbourhood(self.roster, self.setting) is not None
+        return bool(record.steps) and record.steps[-1].shown is not None
 
     def let_see(self, person: str, shown: Shown) -> None:
         """Let neighbours see what came of a suggestion to a person."""
-        let_see(self.roster, self.entry(person), shown, self.setting)
+        let_see(self.roster, self.entry(person), shown)
 
     def forget_last(self, person: str) -> None:
         """Take back what neighbours saw last of a person."""

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..declare.refusals import AbsentError
 from ..people.decision import Floats
+from ..people.neighbourhood import NOBODY_SEES
+from ..people.neighbours import SeenEvent
 from ..person.beliefs import Ask
 from ..person.hidden_beliefs import Hidden
 from ..person.joint_belief import JointBelief, is_certain
@@ -31,7 +33,8 @@ class Step(NamedTuple):
 
     `place` is a place of `LiveTask`. The suggestion is None if the robot action was none. `seen` is what was seen if
     the action is uncertain: `likelihoods`, or the probability `missed` that one was missed. The action is then the
-    likeliest one, or None. It is also `doubtful` if the robot sees all actions unreliably.
+    likeliest one, or None. It is also `doubtful` if the robot sees all actions unreliably. `shown` is what neighbours
+    saw.
     """
 
     place: int
@@ -41,6 +44,7 @@ class Step(NamedTuple):
     suggestion: str | None
     seen: Mapping[str, Any] | None = None
     doubtful: bool = False
+    shown: tuple[bool, float] | None = None
 
 
 class Told(NamedTuple):
@@ -63,6 +67,11 @@ class Saw(NamedTuple):
     followed: bool
     gain: float
     weight: float
+
+    @property
+    def event(self) -> SeenEvent:
+        """The event, for rules."""
+        return SeenEvent(np.array(self.gain), np.array(self.followed), np.array(self.weight))
 
 
 Numbers = dict[str | None, int]
@@ -112,6 +121,8 @@ class RosterEntry:
     time and the cost-to-go after each event of this task, infinite in dead ends. `seq`, `suggested` and `asked_at` are
     the numbers of the last event that changed the person's view, and of those of the last suggestion and question.
     `saw` is what the person saw of neighbours in this task, and `shown` how often neighbours may have seen the person.
+    `order` has the number of the event of each action, and `since` that of the person's coming, or coming back, before
+    it; `came` is that number now.
     What every decision copies is kept by the team, by place: a copy of few objects is fast. A record
     holds the row of the person.
     """
@@ -136,17 +147,23 @@ class RosterEntry:
     asked_at: int = 0
     saw: list[Saw] = field(default_factory=list)
     shown: int = 0
+    order: array[int] = field(default_factory=lambda: array("q"))
+    since: array[int] = field(default_factory=lambda: array("q"))
+    came: int = 0
 
     def did(self, step: Step, time: float) -> None:
         """Append an action."""
         self.steps.append(step)
         self.times.append(time)
+        self.order.append(self.team.event)
+        self.since.append(self.came)
         self.reasons.append(self.reason)
         self.reason = None
 
     def undo(self) -> Step:
         """Remove the last action, and return it; the suggestion before it has its reason again."""
-        self.times.pop()
+        for each in (self.times, self.order, self.since):
+            each.pop()
         self.reason = self.reasons.pop()
         return self.steps.pop()
 
@@ -192,14 +209,18 @@ class RosterEntry:
 
         Those that were seen with doubt are marked as `uncertain`.
         """
-        times, now = iter(self.times), [(step.action, step.suggestion, step.doubtful) for step in self.steps]
+        times, now = (
+            zip(self.times, self.order, self.since, strict=True),
+            [(step.action, step.suggestion, step.doubtful) for step in self.steps],
+        )
         for number, (task, steps) in enumerate(zip(self.tasks, [*self.past, now], strict=True), start=1):
             count = 0
-            for (action, suggestion, doubtful), time in zip(steps, times, strict=False):
+            for (action, suggestion, doubtful), (time, order, since) in zip(steps, times, strict=False):
                 row = {"person": self.name, "episode": str(number), "step": count, "action": action}
                 if action is not None:
                     doubt = {"uncertain": True} if doubtful else {}
-                    yield row | {"suggestion": suggestion, "task": task, "time": time, **doubt}
+                    among = {"place": self.place, "order": order, "since": since}
+                    yield row | {"suggestion": suggestion, "task": task, "time": time, **among, **doubt}
                 count += action is not None
 
     def close_questions(self) -> None:
@@ -249,6 +270,12 @@ class Roster:
         Robot action towards each person since their last action; 0 for none.
     present, ended : bool arrays, shape (P,)
         Whether the person is present, and has (probably) reached the goal.
+    neighbours : Neighbourhood
+        What people see of each other, as far as the robots know.
+    event : int
+        Number of the present event.
+    touched : set of str
+        The people of whom something else is known since the last event began.
     """
 
     def __init__(self, places: int) -> None:
@@ -263,6 +290,7 @@ class Roster:
         self.beliefs = Hidden(
             np.zeros(places, dtype=np.int64), np.zeros((places, 0, 0)), np.zeros(places, dtype=bool)
         )  # fmt: skip
+        self.neighbours, self.event, self.touched = NOBODY_SEES, 0, set[str]()
         self._change = np.zeros(places, dtype=np.int64)
         self._answers: dict[Ask, _Answers] = {}
 
@@ -370,6 +398,7 @@ class Roster:
     def changed(self, record: RosterEntry) -> None:
         """Tell that what is known of a person has changed."""
         self._change[record.place] += 1
+        self.touched.add(record.name)
 
     def finished(self, record: RosterEntry) -> float:
         """Return the probability that a person has reached their goal, of which several may be possible."""

@@ -12,9 +12,6 @@ import numpy as np
 
 from ..declare.declared import MOST
 from ..people.decision import NOTHING
-from ..people.neighbourhood import Neighbourhood
-from ..people.neighbours import SeenEvent
-from ..person.settings import Setting
 from ..team.seen import gained
 from .roster import Roster, RosterEntry, Saw
 
@@ -22,29 +19,16 @@ Shown = tuple[bool, float]
 """What neighbours see of an action after a suggestion: whether it was followed, and the gain of it, in cost units."""
 
 
-def neighbourhood(team: Roster, setting: Setting) -> Neighbourhood | None:
-    """Return who sees whom, by place, shape (P, P); None if the robots know of nothing that moves theta.
-
-    Raises
-    ------
-    ValueError
-        The graph has fewer stations than there are people.
-    """
-    seen = setting.neighbourhood(len(team.records))
-    if seen is None or not seen.known:
-        return None
-    more = (0, len(team) - len(team.records))
-    return Neighbourhood(seen.rule, np.pad(seen.sees, (more, more)))
-
-
 def shown_by(team: Roster, record: RosterEntry, action: str, robot: int) -> Shown | None:
-    """Return what neighbours see if a person does an action after a robot action; None if it suggests nothing.
+    """Return what neighbours see if a person does an action after a robot action; None if they see nothing.
 
     Raises
     ------
     Refusal
         The action is not possible.
     """
+    if not team.neighbours.watched[record.place : record.place + 1].any():
+        return None
     problem, row = record.problem, team.row(record)
     suggested = int(problem.policy.pomdp.suggested[row, robot])
     if suggested == NOTHING or team.stopped(record):
@@ -54,27 +38,27 @@ def shown_by(team: Roster, record: RosterEntry, action: str, robot: int) -> Show
     return slot == suggested, min(max(gain, -MOST), MOST)
 
 
-def let_see(team: Roster, record: RosterEntry, what: Shown, setting: Setting) -> None:
+def onlookers(team: Roster, record: RosterEntry) -> list[tuple[RosterEntry, float]]:
+    """Return those who are present and see a person, with the weight of each."""
+    _, who, weight = team.neighbours.onlookers(np.array([record.place]), team.present[None])
+    return [(team.records[place], one) for place, one in zip(who.tolist(), weight.tolist(), strict=True)]
+
+
+def let_see(team: Roster, record: RosterEntry, what: Shown) -> None:
     """Let those who are present and see a person see what came of a suggestion."""
-    seen = neighbourhood(team, setting)
-    if seen is None:
-        return
     record.shown += 1
-    for place in np.flatnonzero((seen.sees[:, record.place] > 0) & team.present).tolist():
-        other = team.records[place]
-        one = Saw(len(other.steps), record.name, record.shown, *what, float(seen.sees[place, record.place]))
-        see(team, other, [one], setting)
+    for other, weight in onlookers(team, record):
+        one = Saw(len(other.steps), record.name, record.shown, *what, weight)
+        see(team, other, [one])
         other.saw.append(one)
         team.changed(other)
 
 
-def see(team: Roster, record: RosterEntry, what: Iterable[Saw], setting: Setting) -> None:
+def see(team: Roster, record: RosterEntry, what: Iterable[Saw]) -> None:
     """Move the belief in a person by what they saw."""
-    grid, rule = record.problem.policy.pomdp.grid, None if setting.neighbours is None else setting.neighbours.rule
+    grid = record.problem.policy.pomdp.grid
     for one in what:
-        assert rule is not None
-        event = SeenEvent(np.array(one.gain), np.array(one.followed), np.array(one.weight))
-        low, weight = grid.shares(rule.update(grid.theta, event), grid.count)
+        low, weight = grid.shares(team.neighbours.rule.update(grid.theta, one.event), grid.count)
         team.beliefs.moved(np.array([record.place]), low[None], weight[None])
 
 

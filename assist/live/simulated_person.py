@@ -6,7 +6,7 @@ So the same person with the same states and uniform numbers acts as in `simulate
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, cast
 
@@ -20,6 +20,7 @@ from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, perceived_cost
 from ..people.goals import Goals
 from ..people.human import Human
+from ..people.neighbours import SeenNothing, SeenRule
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.ranges import Population
 from ..people.state_keys import keys_of
@@ -28,6 +29,9 @@ from ..people.trust_rules import EquationSeven, TrustRule
 from ..people.weighted_choice import Weighted
 from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel
+from .roster import Saw
+
+NOTHING_SEEN = SeenNothing()
 
 
 class _Step(NamedTuple):
@@ -52,11 +56,15 @@ class SimulatedPerson:
         Rule by which theta changes; by default equation (7) with eta = 0.2.
     seed : int
         Random seed of the person and of all their choices.
+    sees : SeenRule
+        Rule by which theta changes by what the person sees of others.
     """
 
     def __init__(
-        self, population: Population | Human, *, trust: TrustRule | None = None, seed: int = 0
+        self, population: Population | Human, *, trust: TrustRule | None = None, seed: int = 0,
+        sees: SeenRule = NOTHING_SEEN,
     ) -> None:  # fmt: skip
+        self._sees, self._saw = sees, set[tuple[str, int]]()
         self._seed, self._trust = seed, EquationSeven() if trust is None else trust
         self._count = np.zeros((), dtype=np.int64)
         self.rng = np.random.default_rng(seed)
@@ -76,6 +84,13 @@ class SimulatedPerson:
             return task
         own = np.random.default_rng([self._seed, len(task.tables)])  # so that no other draw depends on the goals
         return list(task.tables.values())[int(own.choice(len(task.tables), p=list(task.prior.values())))]
+
+    def see(self, saw: Iterable[Saw]) -> None:
+        """Update theta by what the person has seen of suggestions to others; what was passed before counts once."""
+        for one in saw:
+            if (one.neighbour, one.number) not in self._saw:
+                self._saw.add((one.neighbour, one.number))
+                self.theta = float(self._sees.update(np.array(self.theta), one.event))
 
     def act(
         self, task: CostToGo, state: int, applicable: Sequence[str], suggestion: str | None, *,

@@ -12,7 +12,7 @@ without computing a decision again.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -34,6 +34,7 @@ from .history import Change, History
 from .live_task import require_usable
 from .names import is_name
 from .record import TeamRecord, without_in_view
+from .roster import Saw
 
 
 class Team(History[TeamRecord]):
@@ -85,7 +86,7 @@ class Team(History[TeamRecord]):
         if found is None:
             return None
         step, time = self.desk.step, round(time, 3)
-        self.desk.take(found, time)
+        self.desk.take(found, time, number=self.count + 1)
         advices = self._decided()
         self._known.clear()
         if isinstance(event, Elapsed) and advices == self.advices:
@@ -109,7 +110,7 @@ class Team(History[TeamRecord]):
 
     def again(self, record: TeamRecord) -> None:
         """Apply a recorded event, including the robots' decision."""
-        self.desk.take(record.event, record.time)
+        self.desk.take(record.event, record.time, number=record.n)
         advices = record.advices or self.advices
         if len(advices) != self.robots:
             raise ValueError(f"advice of {len(advices)} robots; expected {self.robots}")
@@ -132,8 +133,8 @@ class Team(History[TeamRecord]):
 
     def touched(self, record: TeamRecord) -> set[str]:
         """Return the people whose view an event has changed."""
-        everybody = record.event.concerns_all or self.desk.sees_neighbours
-        return record.touched() | (set(self.people) if everybody else set())
+        there = set(self.people)
+        return record.touched() | (there if record.event.concerns_all else there & self.desk.roster.touched)
 
     @property
     def paused(self) -> bool:
@@ -186,6 +187,10 @@ class Team(History[TeamRecord]):
         """Return a person's task, and the number of its present state."""
         return self.tasks[self.desk.entry(person).tasks[-1]], self._state(person).state
 
+    def saw(self, person: str) -> Sequence[Saw]:
+        """Return what a person saw of suggestions to others in their task."""
+        return self.desk.entry(person).saw
+
     def person(self, person: str) -> dict[str, Any]:
         """Return a person's view, as JSON."""
         return self._seen(self._state(person))
@@ -230,7 +235,7 @@ class Team(History[TeamRecord]):
             "grid": {"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
             "belief": known.hidden.with_theta(known.belief, "beta").tolist(),
             **({"goals": dict(known.goals)} if known.goals else {}),
-            **({"sees": self.desk.sees(person)} if self.desk.sees_neighbours else {}),
+            **({"sees": sees} if (sees := self.desk.sees(person)) else {}),
         }
 
     def learned(self, person: str) -> Floats | None:

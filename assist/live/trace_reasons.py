@@ -14,7 +14,7 @@ from ..people.ranges import Population
 from ..person.policy import Policy
 from ..person.robots import SUGGESTION
 from ..person.settings import Setting
-from ..team.state import TeamState
+from ..team.state import TeamPolicy, TeamState
 from .decision_point import DecisionPoint
 from .live_task import LiveTask
 
@@ -35,8 +35,9 @@ class TraceReasons:
         self._problems: dict[int, LiveTask] = {}
 
     def __call__(
-        self, team: TeamState, row: int, place: int, robot: int, *, number: int, names: Sequence[str], rule: str
-    ) -> dict[str, Any]:
+        self, team: TeamState, row: int, place: int, robot: int, *, number: int, names: Sequence[str], rule: str,
+        policy: TeamPolicy,
+    ) -> dict[str, Any]:  # fmt: skip
         """Return why a person gets a suggestion, as data and as a text; arguments as `simulate` passes them.
 
         Parameters
@@ -53,6 +54,7 @@ class TraceReasons:
             Names of the team's people.
         rule : str
             Name of the team's policy.
+        policy : TeamPolicy
         """
         # The models of people who are not active may have no problem in this step, and none is looked at.
         model, own = np.unique(np.where(team.active[row], team.model[row], team.model[row, place]), return_inverse=True)
@@ -63,7 +65,7 @@ class TraceReasons:
             tuple(names), tuple(self._problem(int(model[one])) for one in own), policies,
             team.beliefs.of(row * count + np.arange(count)), own, np.zeros(count, dtype=np.int64), team.active[row],
             ~team.active[row], {}, here, travel.costs_of(number, here), rule,
-            float(team.fleet.extra[number, SUGGESTION]),
+            float(team.fleet.extra[number, SUGGESTION]), team.neighbours, lambda: policy,
         )  # fmt: skip
         found = point.suggested(place, robot, arrived=True)
         plain = {name: part for name, part in found.as_dict().items() if part is not None}

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from .belief import Grid
 from .decision import Floats
 from .hidden_type import mean_over_goals
 from .human import HumanModel
-from .neighbours import Neighbours, SeenEvent, SeenRule
+from .neighbours import Neighbours, SeenEvent, SeenNothing, SeenRule, moves_theta
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -68,7 +69,10 @@ def seen_value(model: HumanModel, x: Ints) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
-    """What K people see of each other, and how their theta moves by it.
+    """What people at the first K places of a team see of each other, and how their theta moves by it.
+
+    People at later places see nobody, and nobody sees them. Where no theta moves by what is seen, K is 0: then all
+    that follows from it is empty, so that nobody needs to ask whether there is a graph.
 
     Attributes
     ----------
@@ -87,17 +91,71 @@ class Neighbourhood:
         object.__setattr__(self, "sees", frozen(np.asarray(self.sees, dtype=float)))
 
     @classmethod
-    def of(cls, declared: Neighbours | None, places: int) -> Neighbourhood | None:
-        """Return what a team of `places` people see of each other; None if theta does not move by it.
+    def of(cls, declared: Neighbours | None, places: int) -> Neighbourhood:
+        """Return what a team of `places` people see of each other: `NOBODY_SEES` if theta does not move by it.
 
         Raises
         ------
         ValueError
             As in `Neighbours.weights`.
         """
-        if declared is None or not declared.moves:
-            return None
+        if not moves_theta(declared):
+            return NOBODY_SEES
+        assert declared is not None
         return cls(declared.rule, declared.weights(places), declared.known)
+
+    @cached_property
+    def believed(self) -> Neighbourhood:
+        """What the robots know of it."""
+        return self if self.known else NOBODY_SEES
+
+    @cached_property
+    def watched(self) -> Bools:
+        """Whether anybody sees each person, shape (K,)."""
+        return frozen(np.any(self.sees > 0, axis=0))
+
+    @property
+    def needs_all_seen(self) -> bool:
+        """Whether robots must see all actions as they are, to know what people saw."""
+        return len(self.sees) > 0
+
+    def told(self, robot: Ints) -> Bools:
+        """Return to whom robots said something, where others can see it, shape (N, K).
+
+        Parameters
+        ----------
+        robot : int array, shape (N, K'), with K' >= K
+            The robot action that each person heard; 0 for none.
+        """
+        return np.logical_and(robot[:, : len(self.sees)] > 0, self.watched)
+
+    def seen_from(self, place: int) -> dict[int, float]:
+        """Return whom the person at a place sees, with the weight of each."""
+        row = self.sees[place : place + 1].reshape(-1)
+        return {other: float(row[other]) for other in np.flatnonzero(row).tolist()}
+
+    def onlookers(self, person: Ints, there: Bools) -> tuple[Ints, Ints, Floats]:
+        """Return who sees each of some people.
+
+        Parameters
+        ----------
+        person : int array, shape (E,)
+            Their places.
+        there : bool array, shape (E, K'), with K' >= K
+            Who of the person's team can see something.
+
+        Returns
+        -------
+        which, who : int arrays, shape (m,)
+            Number of the person who is seen, ascending, and the place of one who sees them.
+        weight : float array, shape (m,)
+        """
+        size = len(self.sees)
+        inside = np.flatnonzero(person < size)
+        inside = inside[self.watched[person[inside]]]
+        sees = self.sees[:, person[inside]].T
+        which, who = np.nonzero((sees > 0) & there[inside, :size])
+        return inside[which], who, sees[which, who]
 
     def moved(self, theta: Floats, helped: Helped, there: Bools) -> tuple[Ints, Floats]:
         """Return who of the people of N teams has seen something, and their theta after it.
@@ -151,10 +209,13 @@ class Neighbourhood:
         rank = np.arange(len(helped.team)) - np.repeat(begins, np.diff([*begins, len(helped.team)]))
         for number in range(int(rank.max()) + 1):
             those = np.flatnonzero(rank == number)
-            sees = self.sees[:, helped.person[those]].T
-            which, who = np.nonzero((sees > 0) & there[helped.team[those]])
+            which, who, weight = self.onlookers(helped.person[those], there[helped.team[those]])
             of = those[which]
             yield (
                 helped.team[of] * there.shape[1] + who,
-                SeenEvent(helped.gain[of, None], helped.followed[of, None], sees[which, who][:, None]),
+                SeenEvent(helped.gain[of, None], helped.followed[of, None], weight[:, None]),
             )
+
+
+NOBODY_SEES = Neighbourhood(SeenNothing(), np.zeros((0, 0)))
+"""Nobody sees anybody."""

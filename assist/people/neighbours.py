@@ -290,11 +290,6 @@ class Neighbours:
                     "0 on the diagonal"
                 )
 
-    @property
-    def moves(self) -> bool:
-        """Whether theta moves by what is seen at all."""
-        return not isinstance(self.rule, SeenNothing)
-
     def weights(self, places: int) -> Floats:
         """Return the weight with which each station sees each other one, shape (K, K); 0 for those that do not.
 
@@ -319,3 +314,35 @@ class Neighbours:
         apart = np.abs(np.subtract.outer(np.arange(places), np.arange(places)))
         found[(apart == 1) if self.sees == "next" else (apart > 0)] = self.weight
         return found
+
+
+Watched = Annotated[
+    Neighbours | None,
+    Field(description="Who sees whom being helped, and how theta of those who see it moves; nobody unless given."),
+]
+"""The field of a setting."""
+
+
+def seen_rule_of(given: Neighbours | None) -> SeenRule:
+    """Return the rule by which theta moves by what is seen."""
+    return SeenNothing() if given is None else given.rule
+
+
+def name_of(given: Neighbours | None) -> str:
+    """Return the name of the rule by which theta moves by what is seen.
+
+    Raises
+    ------
+    ValueError
+        It is a rule of the user's own.
+    """
+    rule = seen_rule_of(given)
+    if not isinstance(rule, ShippedSeen):
+        why = f"neighbours.rule: {type(rule).__name__}; expected one of {', '.join(SEEN_RULES)}"
+        raise ValueError(why)  # noqa: TRY004
+    return rule.tag["rule"]
+
+
+def moves_theta(given: Neighbours | None) -> bool:
+    """Return whether theta moves by what is seen at all."""
+    return not isinstance(seen_rule_of(given), SeenNothing)

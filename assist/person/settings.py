@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
 from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of, whole_number
-from ..people.neighbours import Neighbours
+from ..people.neighbours import SeenRule, Watched, moves_theta, seen_rule_of
 from ..people.trust_rules import TrustRule, rule_given, trust_rule
 from .observation_model import ObservationModel
 from .robots import OfRobots, Robot, Suggestions
@@ -106,13 +106,10 @@ class Setting(OfRobots):
     ask_error: Annotated[
         Number, Field(ge=0, lt=0.5, description="Probability that the answer about a goal is wrong.")
     ] = 0.0
-    neighbours: Annotated[
-        Neighbours | None,
-        Field(description="Who sees whom being helped, and how theta of those who see it moves; nobody unless given."),
-    ] = None
+    neighbours: Watched = None
 
     def __post_init__(self) -> None:
-        if self.observation is not None and self.neighbours is not None and self.neighbours.moves:
+        if self.observation is not None and moves_theta(self.neighbours):
             raise ValueError(
                 "neighbours: expected none with an observation model, as robots do not know then what people saw"
             )
@@ -175,8 +172,12 @@ class Setting(OfRobots):
             if what and value != usual:
                 raise ValueError(f"{name} {value:g} has no effect without {what}; expected {usual:g}")
 
-    def neighbourhood(self, places: int) -> Neighbourhood | None:
-        """Return what `places` people see of each other; None if theta does not move by it."""
+    def seen_rule(self) -> SeenRule:
+        """Return the rule by which theta moves by what people see of each other."""
+        return seen_rule_of(self.neighbours)
+
+    def neighbourhood(self, places: int) -> Neighbourhood:
+        """Return what `places` people see of each other."""
         from ..people.neighbourhood import Neighbourhood
 
         return Neighbourhood.of(self.neighbours, places)

@@ -12,8 +12,8 @@ A step has this order:
 1. `ask`: at most one person of each team is asked. The answer comes at once and changes the belief.
 2. `state`: what policies receive. A policy chooses an action.
 3. `step`: the robots are sent, and speak. Everybody at work acts once: choices depend on the theta before the step,
-   then theta moves. Beliefs follow what was seen (`Beliefs.observe`). If people see each other helped, their theta and
-   the beliefs move by that, too (`seen.let_see`).
+   then theta moves. Beliefs follow what was seen (`Beliefs.observe`). Then theta and the beliefs move by what people
+   saw of each other (`seen.let_see`).
 
 `simulate` is a loop over a policy, an environment passes actions in, and a rollout is an engine on copies.
 """
@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
-from ..people.neighbourhood import Neighbourhood
+from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from ..person.beliefs import Beliefs, PersonModel
 from ..person.people_arrays import PeopleArrays
 from ..person.policy import Policy
@@ -36,7 +36,7 @@ from ..person.problem_arrays import Acts, ProblemArrays
 from ..person.robots import NOTHING_DONE
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent
-from .seen import let_see
+from .seen import Saw, let_see
 from .state import BASE, TeamAction, TeamState, by_model
 
 Ints = NDArray[np.int64]
@@ -130,8 +130,8 @@ class PeopleAtWork:
     finished : bool array, shape (N, K)
     joins, leaves : int arrays, shape (K,)
         First step of the person at each place, and the step before which they leave.
-    neighbours : Neighbourhood or None
-        What they see of each other; None if that moves nobody's theta.
+    neighbours : Neighbourhood
+        What they see of each other.
     """
 
     number: Ints
@@ -145,7 +145,7 @@ class PeopleAtWork:
     finished: Bools
     joins: Ints
     leaves: Ints
-    neighbours: Neighbourhood | None = None
+    neighbours: Neighbourhood = NOBODY_SEES
 
 
 class Now(NamedTuple):
@@ -185,6 +185,8 @@ class StepTaken(NamedTuple):
         Slot of each person's choice; `NOTHING` if they did not act.
     cost, reward : float arrays, shape (N, K)
         Cost of each person's choice; and minus this cost and those of the robots' actions and ways for the person.
+    saw : Saw
+        Who saw somebody else helped.
     """
 
     now: Now
@@ -197,6 +199,7 @@ class StepTaken(NamedTuple):
     slot: Ints
     cost: Floats
     reward: Floats
+    saw: Saw
 
 
 class Engine:
@@ -273,7 +276,7 @@ class Engine:
             step=int(self.clock[every].max()), active=now.active[every], location=self.robots.location[every],
             model=self.tasks.model[every], beliefs=known, policies=self.tasks.policies, travel=self.robots.travel,
             free=self.robots.free(self.clock)[every], fleet=self.robots.fleet,
-            neighbours=seen if (seen := self.people.neighbours) is not None and seen.known else None,
+            neighbours=self.people.neighbours.believed,
         )  # fmt: skip
 
     def ask(self, questions: Questions) -> list[tuple[Asked, bool]]:
@@ -324,13 +327,12 @@ class Engine:
         acts = Acts(before.reshape(-1), acting.robot, acting.slot, ~finished)
         models = [(groups[number].model, rows) for number, rows in now.groups]
         self.beliefs.observe(acts, said.reshape(-1), models, self._uniform)
-        if them.neighbours is not None:
-            let_see(them, self.beliefs, acts, acting.x, models, self._uniform)
+        saw = let_see(them, self.beliefs, acts, acting.x, models, self._uniform)
         cost, clock = acting.cost.reshape(said.shape), self.clock.copy()
         self.clock[now.running] += 1
         self._now, self._charged = None, np.zeros(said.shape)
         slot = acting.slot.reshape(said.shape)
-        return StepTaken(now, clock, sent, executes, before, robot, theta, slot, cost, -charged - cost)
+        return StepTaken(now, clock, sent, executes, before, robot, theta, slot, cost, -charged - cost, saw)
 
     def _say(self, sent: Sent) -> tuple[Ints, Bools, Floats]:
         """Return the robot action for each person, which robots execute an action, and the costs for each person."""

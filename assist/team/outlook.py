@@ -23,7 +23,7 @@ from ..people.neighbours import SeenEvent
 from ..person.policy import Policy
 from .attention import AttentionSwitching
 from .seen import gained
-from .state import TeamState
+from .state import TeamPolicy, TeamState
 
 Ints = NDArray[np.int64]
 
@@ -37,6 +37,8 @@ AT_A_TIME = 50_000
 def outlook(team: TeamState, actions: int, value: Value) -> Floats:
     """Return what the first R robot actions towards each person are worth for those who see it, shape (N, K, R).
 
+    Where nobody sees anybody, the shape is (1, 1, R).
+
     Parameters
     ----------
     team : TeamState
@@ -46,16 +48,17 @@ def outlook(team: TeamState, actions: int, value: Value) -> Floats:
         Values of people.
     """
     (n, people), seen = team.x.shape, team.neighbours
-    found = np.zeros((n * people, actions))
-    if seen is None or not seen.sees.any():
-        return found.reshape(n, people, actions)
-    for group, rows in team.groups():
+    if not seen.watched.any():
+        return np.zeros((1, 1, actions))
+    found, shown = np.zeros((n * people, actions)), np.zeros((n, people), dtype=bool)
+    shown[:, : len(seen.watched)] = seen.watched
+    for group, every in team.groups():
+        rows = every[shown.reshape(-1)[every]]
         policy, (x, belief) = team.policies[group], team.known_of(rows)
         chance, gain = _answers(policy, x, belief, actions)
         which, slot, follows = np.nonzero(chance.any(axis=1))
         helped = rows[which]
-        at, who = np.nonzero((seen.sees[:, helped % people].T > 0) & team.active[helped // people])
-        sees = seen.sees[who, helped[at] % people]
+        at, who, sees = seen.onlookers(helped % people, team.active[helped // people])
         effect = _effects(
             team, helped[at] // people * people + who, gain[which[at], slot[at]], follows[at] == 1, sees, value
         )
@@ -92,8 +95,6 @@ def _effects(
 
     People are given as indices of the flattened arrays. What is the same for a person is computed once.
     """
-    seen = team.neighbours
-    assert seen is not None
     gains, of_gain = np.unique(gain, return_inverse=True)
     weights, of_weight = np.unique(sees, return_inverse=True)
     kinds = len(gains) * 2 * len(weights)
@@ -110,7 +111,7 @@ def _effects(
             told = SeenEvent(
                 gains[event[part] // 2][:, None], (event[part] % 2 == 1)[:, None], weights[weight[part]][:, None]
             )
-            theta = seen.rule.update(np.broadcast_to(grid.theta, (len(part), len(grid.theta))), told)
+            theta = team.neighbours.rule.update(np.broadcast_to(grid.theta, (len(part), len(grid.theta))), told)
             changes = np.flatnonzero((theta != grid.theta).any(axis=1))
             part, (x, belief) = part[changes], team.known_of(who[part[changes]])
             after = moved(belief, *grid.shares(theta[changes], grid.count))
@@ -127,4 +128,17 @@ class AttentionWithOutlook(AttentionSwitching):
 
     def values(self, team: TeamState, q: Floats) -> Floats:
         """Return the Q-values and what those who see it gain, in the shape of `q`."""
-        return q if team.neighbours is None else q + outlook(team, q.shape[3], Policy.value)[:, None]
+        return q + self.beside(team, q.shape[3])[:, None]
+
+    def beside(self, team: TeamState, actions: int) -> Floats:
+        """Return what the first R robot actions are worth beside each person, as in `outlook`."""
+        return outlook(team, actions, Policy.value)
+
+
+def beside(policy: TeamPolicy, team: TeamState, actions: int) -> Floats:
+    """Return what a policy takes the first R robot actions to be worth beside each person, shape (N, K, R).
+
+    That is what its method `beside` returns, with the team and R; 0 if it has none.
+    """
+    own = getattr(policy, "beside", None)
+    return np.broadcast_to(np.zeros(1) if own is None else own(team, actions), (*team.x.shape, actions))

@@ -131,8 +131,8 @@ class Priority:
 
     The value of presence for a person is the Q-value with the robot there, minus that without it in this step. Presence
     means to make a suggestion, to stay without one, or to arrive after the travel and continue from there. The cost of
-    moving is subtracted. If people see each other helped, a suggestion is also worth what it is expected to do to those
-    who see it (`outlook`). The robots act on the largest sum of differences, each for another person.
+    moving is subtracted. A suggestion is also worth what it is expected to do to those who see it (`outlook`). The
+    robots act on the largest sum of differences, each for another person.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ class Priority:
             )
         if not team.active.any():
             return robot, going, holding
-        step = min(team.step, len(self.price) - 1)  # all later steps have the same price
+        step = self._step(team)
         price, values = self.price[step], team.of_each(self._asks[step])
         arriving, q = values[:, :, : self.longest], values[:, :, self.longest :]
         # People who are not active score minus infinity.
@@ -227,8 +227,7 @@ class Priority:
         np.subtract(q[:, :, 1:] + price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
         lowest: Floats = np.zeros((1, 1, 1))  # what coming to a person to act costs at least, more than the best robot
         if q.shape[2] > 2:
-            if team.neighbours is not None:
-                gain[:, :, 2:] += outlook(team, q.shape[2] - 1, partial(self._value_away, step))[:, :, 1:]
+            gain[:, :, 2:] += self.beside(team, q.shape[2] - 1)[:, :, 1:]
             extra = team.extra_costs(q.shape[2] - 1)[..., 1:]
             each = gain[:, None, :, 2:] - extra
             robot = np.where(team.active[:, None], first_best(each) + 1, 0)[:, kind]
@@ -241,6 +240,14 @@ class Priority:
         more = team.fleet.extra[with_them[1], NOTHING_DONE]
         holding[with_them] = np.where(team.active[with_them[0], at], gain[with_them[0], at, 1] - more, 0.0)
         return robot, going - team.to(), holding
+
+    def beside(self, team: TeamState, actions: int) -> Floats:
+        """Return what the first R robot actions are worth beside each person, as in `outlook`."""
+        return outlook(team, actions, partial(self._value_away, self._step(team)))
+
+    def _step(self, team: TeamState) -> int:
+        """Return the step whose price is in force: all later steps have the same one."""
+        return min(team.step, len(self.price) - 1)
 
     @cached_property
     def _asks(self) -> tuple[Ask, ...]:

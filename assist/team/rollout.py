@@ -12,7 +12,8 @@ comes and goes (`assist.person.attention_subproblem`), in the sampled type,
 
 summed over people. D is a discounted sum of differences between V and its expectation one step before, so that its mean
 is 0. The sum of advantages has the mean of the rewards, followed by V, without the part of their variance that V
-explains. The prices of attention in Q are added again. All alternatives meet the same random numbers.
+explains. The prices of attention in Q are added again, and so is the change of V by what people see of each other, of
+which these problems do not know. All alternatives meet the same random numbers.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from .by_policy import ByPolicy
 from .engine import Engine, PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
+from .seen import Saw
 from .state import BASE, NOBODY, TeamAction, TeamState, by_model
 
 Ints = NDArray[np.int64]
@@ -178,6 +180,10 @@ class Rollout:
         each = np.arange(len(team.x))
         return TeamAction(*(np.stack([getattr(one, name) for one in actions])[best, each] for name in _ACTION))
 
+    def beside(self, team: TeamState, actions: int) -> Floats:
+        """Return what the first R robot actions are worth beside each person to priority."""
+        return self.base.beside(team, actions)
+
     def _alternatives(self, team: TeamState) -> tuple[list[TeamAction], Bools]:
         """Return priority's action and C alternatives, and which alternatives are to be simulated, shape (N, C)."""
         robot, going, holding = self.base.worth(team)
@@ -271,7 +277,9 @@ class PathNumbers:
         self._drawn = np.empty(0)
 
     def draw(self, kind: int, rows: Ints) -> Floats:
-        """Return uniform numbers for choices (1), drawn for a step with those for theta (2), for some paths."""
+        """Return uniform numbers for some paths: for choices (1), drawn with those for theta (2), or for others."""
+        if kind > 2:
+            return self._rng.random(self._shape)[rows % self._shape[0]]
         if kind == 1:
             self._drawn = self._rng.random((*self._shape, 2))
         return self._drawn[rows % len(self._drawn), :, kind - 1]
@@ -320,7 +328,7 @@ class _Paths:
         them = PeopleAtWork(
             mind, PathNumbers(rng, self.pairs, (samples, people)), True, place, state.copy(), np.zeros_like(state),
             grid.theta[cell], grid.count[cell], ~active, np.zeros(people, dtype=np.int64),
-            np.full(people, np.iinfo(np.int64).max),
+            np.full(people, np.iinfo(np.int64).max), team.neighbours,
         )  # fmt: skip
         known = team.beliefs.of((own[:, None] * people + np.arange(people)).reshape(-1))
         robots = RobotsAtWork(team.fleet, team.travel, len(own))
@@ -369,7 +377,37 @@ class _Paths:
             waiting = np.where(does == 1, fleet.extra[its, NOTHING_DONE], 0.0)
             advantage[rows] = solved.advantage(was, at, x, does, h, t)
             advantage[rows] -= np.where(robot > 0, acting, waiting)
+        if len(taken.saw.who):
+            advantage += policy.pomdp.gamma * self._gained(taken.saw)
         return gained + advantage.reshape(before.shape).sum(axis=1)
+
+    def _gained(self, saw: Saw) -> Floats:
+        """Return by how much the values of those who saw others helped have changed by that, flattened.
+
+        Their own problems know of no neighbours. So the sum of advantages lacks this change of V in each step.
+        """
+        engine, grid = self.engine, self.team.policies[0].pomdp.grid
+        found, was = np.zeros(engine.people.place.size), engine.people.theta.reshape(-1).copy()
+        was[saw.who] = saw.theta
+        groups = engine.now.groups  # which renews the rows
+        now, count, x, mind, position = (
+            one.reshape(-1)
+            for one in (
+                engine.people.theta, engine.people.seen, engine.people.row, engine.tasks.who,
+                self._positions(engine.clock),
+            )
+        )  # fmt: skip
+        for group, everybody in groups:
+            policy, mine = self.team.policies[group], everybody[(was != now)[everybody]]
+            solved = policy.with_robot(self.rollout.base)
+            for place in np.unique(position[mine]).tolist():
+                rows = mine[position[mine] == place]
+                for theta, sign in ((was, -1), (now, 1)):
+                    certain = np.zeros((len(rows), *policy.pomdp.prior.shape))
+                    cell = np.searchsorted(grid.values, theta[rows]) + count[rows] * len(grid.values)
+                    certain[np.arange(len(rows)), mind[rows], cell] = 1.0
+                    found[rows] += sign * solved.q_values(0, place, x[rows], certain).max(axis=1)
+        return found
 
     def _positions(self, clock: Ints) -> Ints:
         """Return the robot's position for each person, as in their problem with a robot that comes and goes."""

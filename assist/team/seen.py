@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +23,23 @@ class Watching(Protocol):
     on_grid: bool
     theta: Floats
     seen: Ints
-    neighbours: Neighbourhood | None
+    neighbours: Neighbourhood
+
+
+class Saw(NamedTuple):
+    """Who has seen a neighbour helped in a step, as indices of the flattened arrays, and their theta before that."""
+
+    who: Ints = np.zeros(0, dtype=np.int64)
+    theta: Floats = np.zeros(0)
 
 
 def let_see(
     them: Watching, beliefs: Beliefs, acts: Acts, after: Ints, models: Iterable[tuple[PersonModel, Ints]],
     draw: Callable[[int], Floats],
-) -> None:  # fmt: skip
+) -> Saw:  # fmt: skip
     """Move theta of the people at work who have seen a neighbour helped, and what the robots believe of it.
+
+    It returns who that was.
 
     Parameters
     ----------
@@ -46,33 +55,36 @@ def let_see(
     draw : callable
         Returns uniform numbers, shape (N * K,), of a kind of `CommonRandomNumbers`.
     """
-    assert them.neighbours is not None
-    shape, models = them.theta.shape, list(models)
+    shape, seen = them.theta.shape, them.neighbours
+    shown = seen.told(acts.robot.reshape(shape))
+    if not shown.any():
+        return Saw()
     gain, told, follows = np.zeros(len(after)), np.zeros(len(after), dtype=bool), np.zeros(len(after), dtype=bool)
-    at_work = np.zeros(shape, dtype=bool)
+    at_work, models = np.zeros(shape, dtype=bool), list(models)
     for model, rows in models:
         at_work.reshape(-1)[rows] = acts.goes_on[rows]
         own = acts.of(rows)
         suggested = model.pomdp.suggested[own.x, own.robot]
-        heard = (suggested != NOTHING) & (own.slot != NOTHING)
+        heard = shown.reshape(-1)[rows] & (suggested != NOTHING) & (own.slot != NOTHING)
         told[rows], follows[rows] = heard, own.slot == suggested
         gain[rows[heard]] = gained(model.policy, own.x[heard], after[rows[heard]])
-    those = np.flatnonzero(told)
+    those, saw = np.flatnonzero(told), [Saw()]
     if not len(those):
-        return
+        return Saw()
     helped = Helped(*np.divmod(those, shape[1]), gain[those], follows[those])
     uniform = draw(8) if them.on_grid else None
     for model, rows in models:
         grid, there = model.pomdp.grid, np.zeros(shape, dtype=bool)
         there.reshape(-1)[rows] = at_work.reshape(-1)[rows]
         theta, count = them.theta.reshape(-1), them.seen.reshape(-1)
-        who, moved = them.neighbours.moved(theta[:, None], helped, there)
+        who, moved = seen.moved(theta[:, None], helped, there)
+        saw.append(Saw(who, theta[who]))
         theta[who] = moved[:, 0]
         if uniform is not None:
             low, up = grid.shares(theta[who], count[who])
             theta[who] = grid.theta[low + (uniform[who] < up)]
-        if them.neighbours.known:
-            beliefs.moved(*them.neighbours.shares(grid, len(after), helped, there))
+        beliefs.moved(*seen.believed.shares(grid, len(after), helped, there))
+    return Saw(*(np.concatenate(parts) for parts in zip(*saw, strict=True)))
 
 
 def gained(policy: Policy, before: Ints, after: Ints) -> Floats:

@@ -163,7 +163,7 @@ def simulate(
         some, own = numbers[chunk], None if teams is None else teams[chunk]
         if trace is None:
             return simulation.chunk(some, own), []
-        tracer = Tracer(pool, called, some, reasons)
+        tracer = Tracer(pool, called, policy, some, reasons)
         return simulation.chunk(some, own, tracer, keeps_beliefs=reasons is not None), tracer.traces
 
     advance = adding(progress, f"simulating {called}" + " and explaining its suggestions" * explained, count)

@@ -19,7 +19,7 @@ from planner.system.arrays import outline
 
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
-from ..people.neighbourhood import Neighbourhood
+from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from ..people.user_code import UserCodeError
 from ..person.beliefs import Ask, Beliefs
 from ..person.fleet import Fleet
@@ -100,8 +100,8 @@ class TeamState:
         Which robots are not under way; all, by default.
     fleet : Fleet
         The robots, whose actions may cost more than in people's problems; by default they are alike.
-    neighbours : Neighbourhood or None
-        What people see of each other, if it moves their theta and the robots know of it.
+    neighbours : Neighbourhood
+        What people see of each other, as far as the robots know.
     x : int array, shape (N, K)
         Task state of each person, the most probable one if it is uncertain; from `beliefs`.
     erred : bool array, shape (N, K)
@@ -120,7 +120,7 @@ class TeamState:
     travel: Travel
     free: NDArray[np.bool_] = field(default_factory=lambda: np.ones((), dtype=bool), kw_only=True)
     fleet: Fleet = field(default=Fleet.of((Robot(),)), kw_only=True)
-    neighbours: Neighbourhood | None = field(default=None, kw_only=True)
+    neighbours: Neighbourhood = field(default=NOBODY_SEES, kw_only=True)
     x: NDArray[np.int64] = field(init=False)
     erred: NDArray[np.bool_] = field(init=False)
     belief: Floats | None = field(init=False)

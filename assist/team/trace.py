@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from .state import TeamState
+from .state import TeamPolicy, TeamState
 
 Trace = list[dict[str, Any]]
 """A list with one dictionary for each action of each person."""
@@ -15,8 +15,9 @@ class Reasons(Protocol):
     """Returns why a robot suggests what it does; `assist.live.TraceReasons` is one."""
 
     def __call__(
-        self, team: TeamState, row: int, place: int, robot: int, *, number: int, names: Sequence[str], rule: str
-    ) -> dict[str, Any]:
+        self, team: TeamState, row: int, place: int, robot: int, *, number: int, names: Sequence[str], rule: str,
+        policy: TeamPolicy,
+    ) -> dict[str, Any]:  # fmt: skip
         """Return the reason for a robot action towards one person of a team, as plain data."""
         ...
 

@@ -14,7 +14,7 @@ from ..people.decision import NOTHING
 from .engine import Engine, StepTaken
 from .pool import Pool
 from .questions import Asked
-from .state import BASE, TeamAction, TeamState
+from .state import BASE, TeamAction, TeamPolicy, TeamState
 from .trace import Reasons, Trace
 
 
@@ -26,6 +26,7 @@ class Tracer:
     pool : Pool
     name : str
         Name of the policy.
+    policy : TeamPolicy
     numbers : int array, shape (N,)
         Numbers of the episodes.
     reasons : Reasons or None
@@ -36,8 +37,10 @@ class Tracer:
         The trace of each episode.
     """
 
-    def __init__(self, pool: Pool, name: str, numbers: NDArray[np.int64], reasons: Reasons | None) -> None:
-        self.pool, self.name, self.numbers, self.reasons = pool, name, numbers, reasons
+    def __init__(
+        self, pool: Pool, name: str, policy: TeamPolicy, numbers: NDArray[np.int64], reasons: Reasons | None
+    ) -> None:
+        self.pool, self.name, self.policy, self.numbers, self.reasons = pool, name, policy, numbers, reasons
         self.names = pool.names
         self.traces, self.said = [Trace() for _ in numbers], dict[tuple[int, int], dict[str, Any]]()
 
@@ -49,7 +52,9 @@ class Tracer:
             k, robot, e = int(action.person[row, number]), int(action.robot[row, number]), int(teams[row])
             if team.policies[team.model[row, k]].pomdp.suggested[team.x[row, k], robot] != NOTHING:
                 names = [self.names[one] for one in engine.people.number[e].tolist()]
-                reason = self.reasons(team, row, k, robot, number=number, names=names, rule=self.name)
+                reason = self.reasons(
+                    team, row, k, robot, number=number, names=names, rule=self.name, policy=self.policy
+                )
                 self.said.setdefault((e, k), {})["explanation"] = reason
 
     def asked(self, engine: Engine, asked: Sequence[tuple[Asked, bool]]) -> None:

@@ -128,6 +128,7 @@ class SimulatedSeats:
         """
         with session.lock:  # tasks solved on demand are not thread-safe
             seen = session.person(name)
+            person.see(session.history.saw(name))
             every, state = session.place(name)
             task, asked = person.pursued(every), seen.get("question")
             if person.state is None or (person.reported and not seen["steps"]):  # at first, or after the task has begun
@@ -279,7 +280,9 @@ class ServedTeam:
     def seats(self) -> SimulatedSeats:
         """Draw the simulated people."""
         people = {
-            name: SimulatedPerson(self.population, trust=self.setting.trust_rule(), seed=self.seed + number)
+            name: SimulatedPerson(
+                self.population, trust=self.setting.trust_rule(), seed=self.seed + number, sees=self.setting.seen_rule()
+            )
             for number, name in enumerate(self.simulated)
         }
         return SimulatedSeats(people, self.pace, self.setting.observation)

@@ -27,6 +27,7 @@ from ...declare.declared import (
     names_of,
 )
 from ...learning.method import Method
+from ...people.neighbours import Watched
 from ...people.ranges import Population
 from ...people.real_people import advice_takers
 from ...people.user_code import function_beside
@@ -247,6 +248,7 @@ class EstimateSetting(Method, ReadingSetting):
     theta_per_episode: Annotated[Truth, Field(description="Whether influence (theta) begins anew in each episode.")] = (
         False
     )
+    neighbours: Watched = None
     confidence: Annotated[
         Literal["own", "one"],
         Field(

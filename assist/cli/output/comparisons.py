@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -36,14 +36,23 @@ def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
 
 
 def rules_compared(
-    people: Sequence[Observations] | AdviceLog, name: str, method: Method, folds: int, *, carry: bool
-) -> Comparison:
-    """Compare trust rules on the people of a file with this name. Expected errors end the command in one line."""
-    from ...learning.held_out import compare_rules
+    people: Callable[[], Sequence[Observations]] | AdviceLog, name: str, method: Method, folds: int, *, carry: bool,
+    beside: str | None = None,
+) -> Comparison:  # fmt: skip
+    """Compare trust rules on the people of a file with this name, or rules of what is seen of neighbours beside one.
 
+    Expected errors end the command in one line.
+    """
+    from ...learning.held_out import REFERENCE, compare_rules
+    from ...learning.rule_families import families, seen_families
+
+    rules, reference = (None, REFERENCE) if beside is None else (seen_families(families(method)[beside]), "none")
     try:
+        some = people() if callable(people) else people
         with stages() as show:
-            return compare_rules(people, method, folds=folds, carry=carry, progress=show)
+            return compare_rules(
+                some, method, rules=rules, reference=reference, folds=folds, carry=carry, progress=show
+            )
     except ValueError as error:
         fail(f"{name}: {error}", ExitCode.FAILED)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from ...people.decision import Floats
+from ...people.neighbourhood import NOBODY_SEES, Neighbourhood
 from ...team.episode import Episode
 from ...team.trace import Trace
 from .style import (
@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
 
 @styled
-def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, sees: Floats | None = None) -> Figure:
+def episode_figure(
+    episode: Episode, trace: Trace, alone: Trace | None = None, seen: Neighbourhood = NOBODY_SEES
+) -> Figure:
     """Plot one episode: each person's cost-to-go over time, the suggestions, and where the robot was.
 
     Parameters
@@ -40,9 +42,8 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, s
         The episode's actions, as `simulate` traces them.
     alone : list of dict, optional
         The actions of the same episode without a robot, plotted for comparison.
-    sees : float array, shape (K, K), optional
-        Weight with which each person sees each other one (`Neighbours.weights`). A line leads from each suggestion to
-        the stations of those who saw it.
+    seen : Neighbourhood
+        What people see of each other. A line leads from each suggestion to the stations of those who saw it.
 
     Raises
     ------
@@ -78,11 +79,10 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, s
         whole_numbers(axis.yaxis, nbins=4)
         whole_numbers(axis.xaxis)
         axis.grid(axis="y")
-    if sees is not None:
-        _seen(figure, dict(zip(places, axes, strict=True)), trace, sees)
+    _seen(figure, dict(zip(places, axes, strict=True)), trace, seen)
     axes[len(axes) // 2].set_ylabel("cost-to-go")
     axes[-1].set_xlabel("step (in each, every person acts once)")
-    figure.legend(handles=_entries(bool(alone), sees is not None), loc="lower center", ncols=3)
+    figure.legend(handles=_entries(bool(alone), bool(seen.watched.any())), loc="lower center", ncols=3)
     return figure
 
 
@@ -103,7 +103,7 @@ def _panel(axis: Axes, place: int, rows: Trace, alone: Trace) -> None:
         axis.plot([rows[-1]["step"] + 1], [0], marker="o", markersize=7, color=BLUE, zorder=6, clip_on=False)
 
 
-def _seen(figure: Figure, axes: dict[int, Axes], trace: Trace, sees: Floats) -> None:
+def _seen(figure: Figure, axes: dict[int, Axes], trace: Trace, seen: Neighbourhood) -> None:
     """Draw a line from each suggestion to the stations of those who saw it and went on; its weight is its opacity."""
     from matplotlib.patches import ConnectionPatch
 
@@ -112,11 +112,12 @@ def _seen(figure: Figure, axes: dict[int, Axes], trace: Trace, sees: Floats) -> 
     for row in trace:
         here, step = row["place"], row["step"]
         for place, axis in axes.items():
-            if row["suggestion"] and sees[place, here] > 0 and last[place] > step:
+            weight = seen.seen_from(place).get(here, 0.0)
+            if row["suggestion"] and weight > 0 and last[place] > step:
                 line = ConnectionPatch(
                     (step + 0.5, height[here, step]), (step + 0.5, height[place, step]), "data", "data",
                     axesA=axes[here], axesB=axis, color=VERMILLION, linewidth=0.9,
-                    alpha=0.15 + 0.55 * float(sees[place, here]),
+                    alpha=0.15 + 0.55 * weight,
                 )  # fmt: skip
                 line.set_gid("seen")
                 figure.add_artist(line)

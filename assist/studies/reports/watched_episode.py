@@ -22,6 +22,7 @@ from ...people.decision import Floats
 from ...person.policy import Policy
 from ...team.attention import AttentionSwitching
 from ...team.episode import Episode
+from ...team.outlook import beside
 from ...team.policies import by_name
 from ...team.pool import Pool, require_pool
 from ...team.simulate import simulate
@@ -107,6 +108,10 @@ class _Watching:
         """Compute now the data about the people of a policy."""
         if hasattr(self.policy, "prepare"):
             self.policy.prepare(policy)
+
+    def beside(self, team: TeamState, actions: int) -> Floats:
+        """Return what the policy takes robot actions to be worth beside each person."""
+        return beside(self.policy, team, actions)
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Keep the gains, and return the policy's choice."""

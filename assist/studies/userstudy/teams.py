@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,10 @@ class Teams(Roll):
 
             def mates() -> list[SimulatedPerson]:
                 seeds = np.random.SeedSequence([self.study.seed, number]).generate_state(count, np.uint64).tolist()
-                return [SimulatedPerson(self.study.population, trust=setting.trust_rule(), seed=seed) for seed in seeds]
+                one = partial(
+                    SimulatedPerson, self.study.population, trust=setting.trust_rule(), sees=setting.seen_rule()
+                )
+                return [one(seed=seed) for seed in seeds]
 
             person.teams[key] = ParticipantTeam(
                 person.code, self._tasks, lambda: self._team(own), mates, again=self.study.again

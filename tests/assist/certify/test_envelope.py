@@ -117,7 +117,7 @@ def test_no_simulated_policy_exceeds_the_bound(tiny: Table, rule: str, robots: i
 def test_values_are_lifted_to_the_largest_within_the_envelope(tiny: Table) -> None:
     pool = pool_of(tiny, SeenFollowed(0.2, 0.1), robots=2)
     envelope = Envelope.of(pool, (0, 1), (0,))
-    assert envelope is not None
+    assert isinstance(envelope, Envelope)
     theta, value = envelope.grid.theta, np.random.default_rng(1).normal(size=(3, 2, 10))
     np.testing.assert_allclose(envelope.high[2], np.clip(theta + 0.36, 0, 1))
     np.testing.assert_allclose(envelope.low[1], np.clip(theta - 0.09, 0, 1))

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import invoke
 
-from assist.learning import compare_rules, fit_influence, places_of, replayed, seen_families, with_neighbours
+from assist.learning import compare_rules, fit_influence, replayed, seen_families, with_neighbours
 from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import LikelihoodTable
 from assist.learning.observations import Observations
 from assist.learning.rule_families import RuleFamily, parameters_of
+from assist.live.session import Session
+from assist.live.simulated_person import SimulatedPerson
 from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome, SeenSteps, WithSeen
 from assist.people.ranges import Population
 from assist.people.trust_rules import EquationSeven, constant, outcome
@@ -44,7 +49,7 @@ def logged(task: Table, rule: Any, trust: str, *, people: int, episodes: int) ->
     population = Population(beta=(0.5, 1.5), theta=(0.2, 0.8), sigma=(0.0, 0.0))
     pool, trace = Pool.sample(task, people, seed=1, setting=setting, population=population), Trace()
     _ = simulate(pool, ToEverybody(), humans=3, episodes=episodes, seed=1, trace=trace)
-    return pool, trace, with_neighbours(replayed(task, trace), neighbours, places_of(trace))
+    return pool, trace, with_neighbours(replayed(task, trace), neighbours)
 
 
 @pytest.mark.parametrize("trust", ["constant", "paper", "outcome"])
@@ -88,8 +93,140 @@ def test_a_family_may_have_the_parameters_of_both_rules() -> None:
 def test_who_is_alone_sees_nothing(tiny: Table) -> None:
     _, trace, _ = logged(tiny, "none", "constant", people=4, episodes=2)
     evidence = replayed(tiny, trace)
-    seen = with_neighbours(evidence, Neighbours(pairs=[]), places_of(trace))
+    seen = with_neighbours(evidence, Neighbours(rule="outcome", pairs=[]))
     assert all(len(o.seen.gain) == 0 for o in seen if o.seen is not None)
     plain = LikelihoodTable.of(evidence.observations(), Method()).log_likelihood(constant())
     same = LikelihoodTable.of(seen, Method()).log_likelihood(WithSeen(constant(), SeenOutcome()))
     np.testing.assert_array_equal(plain, same)
+
+
+class Quiet(ToEverybody):
+    """The same in half of the steps."""
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        action = super().__call__(team)
+        return action if self.rng.random() < 0.5 else TeamAction(0 * action.person - 1, 0 * action.robot)
+
+
+LIVE = Neighbours(rule=SeenFollowed(0.1, 0.12), sees="next")
+
+
+def worked(task: Table, file: Path, people: int, tasks: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Let simulated people who see each other work in a live session; return its log, and their theta at each action.
+
+    One comes late, leaves and comes back, and some take actions back.
+    """
+    setting = Setting(c_suggest=0.0, c_move=0.0, trust="constant", suggestions="all", neighbours=LIVE)
+    population = Population(beta=(0.5, 1.5), theta=(0.2, 0.8), sigma=(0.0, 0.0))
+    session = Session(task, file, setting=setting, policy=Quiet(), population=population, clock=lambda: 0.0)
+    crew = {
+        f"p{number}": SimulatedPerson(population, trust=constant(), seed=1000 + number, sees=setting.seen_rule())
+        for number in range(people)
+    }
+    rng, late, thetas = np.random.default_rng(5), f"p{people - 1}", list[dict[str, Any]]()
+    for name in crew:
+        if name != late:
+            session.join(name)
+    for number in range(tasks):
+        left = [name for name in crew if name in session.people]
+        while left:
+            if len(thetas) == 20:
+                session.join(late)
+                left.append(late)
+            if len(thetas) in (40, 60) and late in left:
+                session.leave(late)
+                left.remove(late)
+            if len(thetas) in (50, 70) and late not in session.people:
+                session.join(late)
+                left.append(late)
+            name = left[rng.integers(len(left))]
+            view, (own, state) = session.person(name), session.place(name)
+            crew[name].see(session.history.saw(name))
+            theta, action = crew[name].theta, crew[name].act(own, state, view["applicable"], view["suggestion"])
+            thetas.append({"person": name, "order": session.history.count + 1, "theta": theta})
+            if session.observe(name, action)["finished"]:
+                left.remove(name)
+        for name in crew if number + 1 < tasks else ():
+            if name in session.people:
+                crew[name].see(session.history.saw(name))
+                session.begin(name)
+    log = session.log()
+    session.close()
+    return log, thetas
+
+
+def test_theta_at_each_suggestion_is_that_of_people_in_a_live_session(tiny: Table, tmp_path: Path) -> None:
+    log, thetas = worked(tiny, tmp_path / "a.sqlite", 5, 2)
+    at, moved = {(row["person"], row["order"]): row["theta"] for row in thetas}, 0
+    for o in with_neighbours(replayed(tiny, log), LIVE):
+        own = [row for row in log if row["person"] == o.person]
+        told = [at[o.person, row["order"]] for row in own if row["suggestion"]]
+        number = int(o.person[1:])
+        first = SimulatedPerson(
+            Population(beta=(0.5, 1.5), theta=(0.2, 0.8), sigma=(0.0, 0.0)), seed=1000 + number
+        ).theta
+        table = LikelihoodTable.of([o], Method(), np.ones(1), np.array([first]))
+        before, _ = table.thetas(WithSeen(constant(), LIVE.rule), carry=True)
+        np.testing.assert_allclose(before[0, :, 0], told, atol=1e-12)
+        moved += sum(theta != first for theta in told)
+    assert moved > 30
+    assert {row["since"] for row in log if row["person"] == "p0"} == {1}
+    assert len({row["since"] for row in log if row["person"] == "p4"}) == 3
+
+
+@pytest.mark.slow
+def test_the_rule_of_a_live_session_is_named_by_commands(tiny: Table, tmp_path: Path) -> None:
+    log, _ = worked(tiny, tmp_path / "a.sqlite", 24, 4)
+    file, graph = tmp_path / "log.jsonl", tmp_path / "graph.toml"
+    file.write_text("".join(json.dumps(row) + "\n" for row in log))
+    graph.write_text('[neighbours]\nsees = "next"\n')
+    asked = ["kitting/tiny", str(file), "--influence", "constant", "--setting", str(graph)]
+    found = invoke("compare", "rules", *asked, "--folds", "2", "--json")
+    assert found.exit_code == 0, found.output
+    assert json.loads(found.stdout)["best"] == "followed"
+    found = invoke("fit", *asked, "--set", "neighbours.rule=followed", "--json")
+    fit = json.loads(found.stdout)
+    assert fit["rule"] == "constant, neighbours followed"
+    for name, true in (("rise", 0.1), ("fall", 0.12)):
+        low, high = fit["intervals"][name]
+        assert low <= true <= high
+        assert low > 0
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (["fit"], "--set neighbours.sees has no effect without --influence"),
+        (["compare", "models"], "--set neighbours.sees has no effect on a comparison of choice models"),
+        (["compare", "rules"], "--influence and neighbours: expected both"),
+        (["fit", "--influence", "constant", "--write-population", "p.json"], "--write-population and neighbours"),
+        (["fit", "--influence", "constant", "--set", "neighbours.rule=outcome"], "neighbours.matrix: 2 stations for 3"),
+    ],
+)
+def test_what_has_no_effect_or_is_no_graph_of_the_log_is_refused_in_one_sentence(
+    tiny: Table, tmp_path: Path, command: list[str], said: str
+) -> None:
+    _, trace, _ = logged(tiny, "none", "constant", people=4, episodes=1)
+    file = tmp_path / "log.jsonl"
+    file.write_text("".join(json.dumps(row) + "\n" for row in trace))
+    which = "neighbours.matrix=[[0, 1], [1, 0]]" if "matrix" in said else "neighbours.sees=next"
+    found = invoke(*command, "kitting/tiny", str(file), "--set", which)
+    assert found.exit_code != 0
+    assert said in " ".join(found.output.split())
+
+
+def test_several_goals_are_refused_and_a_log_without_places_has_the_order_of_names(tiny: Table) -> None:
+    _, trace, found = logged(tiny, SeenFollowed(0.1, 0.1), "constant", people=3, episodes=4)
+    bare = [{name: row[name] for name in ("person", "episode", "step", "action", "suggestion")} for row in trace]
+    graph = Neighbours(rule=SeenFollowed(0.1, 0.1), matrix=np.ones((3, 3)) - np.eye(3))
+    places = {name: k for k, name in enumerate(sorted({row["person"] for row in trace}))}
+    ordered = [row | {"place": places[row["person"]]} for row in trace]
+    one, other = (with_neighbours(replayed(tiny, rows), graph) for rows in (bare, ordered))
+    assert all(a.seen == b.seen and len(a.seen.gain) for a, b in zip(one, other, strict=True))  # type: ignore[union-attr]
+    with pytest.raises(ValueError, match="place -1: expected a number from 0"):
+        with_neighbours(replayed(tiny, [row | {"place": -1} for row in trace]), graph)
+    evidence = replayed({"own": tiny, "other": tiny}, trace)
+    with pytest.raises(ValueError, match="neighbours: expected a log whose goal is known"):
+        with_neighbours(evidence, graph)
+    with pytest.raises(ValueError, match="seen 'contagion': expected one of none, outcome, followed, steps"):
+        fit_influence(found, "constant", seen="contagion")

@@ -12,9 +12,13 @@ import pytest
 from assist.declare import Refusal
 from assist.live.assistant import Assistant
 from assist.live.session import Session
+from assist.live.trace_reasons import TraceReasons
 from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome
 from assist.person.settings import Setting
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamState
+from assist.team.trace import Trace
 from planner import Table
 
 SETTING = Setting(c_suggest=0.0, c_move=0.0, neighbours=Neighbours(rule="followed", sees="next"), trust="constant")
@@ -207,3 +211,57 @@ def test_the_operators_view_says_who_sees_whom(tiny: Table, tmp_path: Path) -> N
     alone.join("a")
     assert "sees" not in alone.entry("a")
     alone.close()
+
+
+@pytest.mark.parametrize("policy", ["attention-outlook", "priority", "whittle", "rollout"])
+def test_an_explanation_names_what_the_policy_counts_for_those_who_see_it(tiny: Table, policy: str) -> None:
+    setting = Setting(c_suggest=0.05, c_move=0.0, trust="constant", neighbours=Neighbours(rule=SeenOutcome(0.3)))
+    team = Assistant(tiny, list(NAMES), policy=policy, setting=setting)
+    now = team.recommend().explanation.now
+    assert now is not None
+    assert now.prospect.seen > 0
+    assert all(other.seen > 0 for other in now.others)
+    pool = Pool.sample(tiny, 3, seed=2, setting=setting)
+    reasons, trace = TraceReasons(pool.policies, tiny), Trace()
+    _ = simulate(pool, policy, humans=3, episodes=[0], seed=1, trace=trace, reasons=reasons)
+    first = next(row for row in trace if "explanation" in row)
+    assert "Those who see it should save" in first["explanation"]["text"]
+
+
+def test_a_policy_that_does_not_consider_them_counts_nothing_for_those_who_see_it(tiny: Table) -> None:
+    setting = Setting(c_suggest=0.0, c_move=0.0, neighbours=Neighbours(rule=SeenOutcome(0.3)))
+    now = Assistant(tiny, list(NAMES), policy=Pesters(), setting=setting).recommend().explanation.now
+    assert now is not None
+    assert now.prospect.seen == 0
+    nothing = Assistant(tiny, list(NAMES), policy="attention", setting=setting).recommend().explanation.nothing
+    assert nothing is not None
+    assert nothing.prospect is not None
+    assert nothing.prospect.seen == 0
+
+
+def test_pages_are_sent_those_who_changed(tiny: Table, tmp_path: Path) -> None:
+    neighbours = Neighbours(rule="followed", pairs=[[1, 2], [3, 4]])
+    setting = Setting(c_suggest=0.0, c_move=0.0, neighbours=neighbours)
+    session, sent = Session(tiny, tmp_path / "a.sqlite", setting=setting, policy="none"), list[set[str]]()
+    session.changed = sent.append
+    for name in "abcd":
+        session.join(name)
+    assert sent == [{"a"}, {"a", "b"}, {"c"}, {"c", "d"}]
+    sent.clear()
+    for _ in range(2):
+        desk = session.history.desk  # type: ignore[attr-defined]
+        act = session.person("b")["applicable"][0]
+        desk.roster.suggest(desk.known("b"), act)
+        session.observe("b", act)
+    session.undo("b")
+    session.observe("c", session.person("c")["applicable"][0])
+    session.leave("c")
+    assert sent == [{"a", "b"}, {"a", "b"}, {"a", "b"}, {"c"}, {"c", "d"}]
+    session.close()
+
+
+def test_who_is_seen_by_nobody_may_be_seen_with_doubt_where_the_robots_know_of_no_graph(tiny: Table) -> None:
+    team = team_of(tiny, suggestions="all", neighbours=Neighbours(rule="followed", known=False))
+    first, other = team.person("ann").applicable[:2]
+    team.observe("ann", likelihoods={first: 0.6, other: 0.4})
+    assert team.person("ann").steps == 1

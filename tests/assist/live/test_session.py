@@ -160,6 +160,8 @@ def test_old_answers_and_old_tasks_are_those_of_before(opened: Callable[..., Ses
             rows.append({
                 "person": name, "episode": str(episode[name]), "step": len(rows), "action": action,
                 "suggestion": seen["suggestion"], "task": tasks[name], "time": time,
+                    "place": list(tasks).index(name), "order": session.outlook().events,
+                    "since": 1 + list(tasks).index(name),
             })  # fmt: skip
     expected = [row for name in episode for e in range(1, episode[name] + 1) for row in log.get((name, e), [])]
     assert max(episode.values()) > 5

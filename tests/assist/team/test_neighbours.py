@@ -10,7 +10,7 @@ import pytest
 from assist.connect.teams import Teams
 from assist.declare.declared import DeclarationError
 from assist.people.goals import Goals
-from assist.people.neighbourhood import Helped, Neighbourhood
+from assist.people.neighbourhood import NOBODY_SEES, Helped, Neighbourhood
 from assist.people.neighbours import SEEN_RULES, Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
 from assist.person.observation_model import ObservationModel
 from assist.person.policy import Policy
@@ -241,7 +241,7 @@ def test_what_is_no_graph_or_rule_is_refused_in_one_sentence(fields: dict[str, o
 def test_refusals_of_a_setting_and_a_team() -> None:
     with pytest.raises(ValueError, match="neighbours: expected none with an observation model"):
         Setting(neighbours=Neighbours(rule="outcome"), observation=ObservationModel(0.1, 0.0))
-    assert Setting(neighbours=Neighbours(), observation=ObservationModel(0.1, 0.0)).neighbourhood(3) is None
+    assert Setting(neighbours=Neighbours(), observation=ObservationModel(0.1, 0.0)).neighbourhood(3) is NOBODY_SEES
     with pytest.raises(ValueError, match=r"neighbours.matrix: 2 stations for 3 people"):
         Setting(neighbours=Neighbours(rule="outcome", matrix=((0, 1), (1, 0)))).neighbourhood(3)
 
@@ -351,7 +351,7 @@ def test_people_of_an_environment_see_each_other(tiny: Table, known: bool) -> No
     teams.draw_from(draws)
     teams.begin(every, np.tile([0, 1, 2], (4, 1)), lambda kind: draws.draw(kind, every))
     before, state = teams.theta.copy(), teams.state()
-    assert (state.neighbours is not None) == known
+    assert (state.neighbours is not NOBODY_SEES) == known
     taken = teams.step(every, state.act(np.zeros(4, dtype=np.int64), state.first_optimal()))
     suggested = pool.policies[0].pomdp.suggested[taken.before[:, 0], taken.robot[:, 0]]
     moved = np.where(taken.slot[:, 0] == suggested, 0.03, -0.02)

@@ -13,6 +13,7 @@ from teams import state
 
 from assist.people.choices import Choices
 from assist.people.goals import Goals
+from assist.people.neighbours import Neighbours, SeenFollowed
 from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
 from assist.team.pool import Pool
@@ -47,7 +48,14 @@ def two_goals(table: Table) -> Goals:
 
 @pytest.mark.parametrize(
     "setting",
-    [{}, {"robots": 2, "travel_time": 2.0}, {"execute": True, "travel_time": 1.0}, {"goals": True}],
+    [
+        {},
+        {"robots": 2, "travel_time": 2.0},
+        {"execute": True, "travel_time": 1.0},
+        {"goals": True},
+        {"neighbours": Neighbours(rule="followed"), "trust": "constant"},
+        {"neighbours": Neighbours(rule=SeenFollowed(0.3, 0.2), sees="next"), "robots": 2, "travel_time": 1.0},
+    ],
     ids=str,
 )
 def test_the_advantages_on_sample_paths_are_those_of_simulated_returns(tiny: Table, setting: dict[str, Any]) -> None:
@@ -64,7 +72,8 @@ def test_the_advantages_on_sample_paths_are_those_of_simulated_returns(tiny: Tab
     found = simulate(pool, "priority", humans=TEAM, episodes=2500, seed=1, world="model").discounted_return
     error = np.hypot(sums.std() / np.sqrt(len(sums)), found.std() / np.sqrt(len(found)))
     assert abs(sums.mean() - found.mean()) < 4 * error
-    assert sums.std() < found.std() / 2
+    # What people see of each other is no part of their own problems, so that V explains less of the variance.
+    assert sums.std() < found.std() / (1 if "neighbours" in setting else 2)
 
 
 @pytest.mark.parametrize("options", [RolloutOptions(people=0), RolloutOptions(errors=1e9), RolloutOptions(near=0)])

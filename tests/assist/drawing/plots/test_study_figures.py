@@ -19,6 +19,7 @@ from assist.drawing.plots.episode import episode_figure
 from assist.drawing.plots.study import COMPARISONS
 from assist.drawing.plots.style import LOOKS, PolicyLook, looks, save_for_pages
 from assist.people.choices import Choices
+from assist.people.neighbourhood import Neighbourhood
 from assist.people.neighbours import Neighbours
 from assist.people.ranges import Population
 from assist.person.settings import Setting
@@ -427,7 +428,7 @@ def test_lines_between_stations_say_who_saw_a_suggestion(tiny_choices: Choices) 
     pool = Pool.sample(tiny_choices, 3, seed=2, setting=Setting(c_suggest=0.0, c_move=0.0, neighbours=neighbours))
     trace = Trace()
     [episode] = simulate(pool, "attention", humans=3, episodes=[0], seed=7, trace=trace)
-    figure = episode_figure(episode, trace, None, neighbours.weights(3))
+    figure = episode_figure(episode, trace, None, Neighbourhood.of(neighbours, 3))
     lines = [one for one in figure.artists if one.get_gid() == "seen"]
     last = {row["place"]: row["step"] for row in trace}
     told = [(row["place"], row["step"]) for row in trace if row["suggestion"]]
