@@ -14,9 +14,8 @@ from ..people.neighbours import SeenOutcome
 from .options.common import figures_option, json_option, out_option, separate_files, together
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, folds_option, method_of, reading_options, task_log_options, with_task
-from .options.person import TRUST
 from .options.settings import EstimateSetting
-from .options.trust import AdviceOptions, advice_of, advice_options
+from .options.trust import AdviceOptions, advice_of, advice_options, influence_option
 from .output.comparisons import ComparisonFiles, models_compared, rules_compared, show_comparison
 from .terminal.console import ExitCode, one_line_errors
 
@@ -60,10 +59,7 @@ def models(
 @command("compare rules kitting/paper log.csv", "rules")
 @task_log_options(required=False)
 @folds_option
-@click.option(
-    "--influence", "trust", type=click.Choice(TRUST),
-    help="Compare rules of what people see of neighbours beside this trust rule, in place of trust rules.",
-)  # fmt: skip
+@influence_option
 @advice_options
 @comparison_files
 @reading_options
@@ -75,7 +71,7 @@ def rules(
     """Compare trust rules on a LOG of people's actions, or on judgements with --advice.
 
     Of --advice, base rates, a theta that all people share, and rules of given steps are compared, too. With --influence
-    and the table `neighbours`, rules by which people are moved by what they see of each other are compared.
+    and the table `neighbours`, rules of what people see of each other are compared, beside this trust rule.
     """
     from ..learning.neighbours_in_logs import with_neighbours
 

@@ -12,10 +12,9 @@ from .options.common import OUTPUT_FILE, apart, figures_option, json_option, out
 from .options.goals import goals_option
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, method_of, reading_options, task_log_options, with_goals, with_task
-from .options.person import TRUST
 from .options.population import RATES, choice_model_of
 from .options.settings import EstimateSetting
-from .options.trust import AdviceOptions, advice_of, advice_options
+from .options.trust import AdviceOptions, advice_of, advice_options, influence_option
 from .output.people_estimates import FitFiles, learned, show_people
 from .output.trust_estimates import show_advice, show_influence
 from .terminal.console import ExitCode, one_line_errors
@@ -58,11 +57,7 @@ model_options = together(
             help="Also estimate misconceptions: their size (sigma) and the perceived cost-to-go.",
         ),
         click.option("--terms", is_flag=True, help="Fit preferences besides cost (hierarchical model)."),
-        click.option(
-            "--influence", "trust", type=click.Choice(TRUST),
-            help="Estimate influence (theta) under this trust rule, carried from episode to episode (hierarchical "
-            "model).",
-        ),
+        influence_option,
         goals_option,
     ),
 )  # fmt: skip

@@ -13,6 +13,7 @@ from ...declare.declared import names_of
 from ...declare.options import Given
 from ..terminal.console import ExitCode, fail
 from .common import INPUT_FILE, is_given, together
+from .person import TRUST
 from .settings import EstimateSetting
 
 if TYPE_CHECKING:
@@ -27,6 +28,12 @@ class AdviceOptions(NamedTuple):
 
     advice: Path | None
     rows: tuple[str, ...]
+
+
+influence_option = click.option(
+    "--influence", "trust", type=click.Choice(TRUST),
+    help="Trust rule by which influence (theta) moves, carried from episode to episode (hierarchical model).",
+)  # fmt: skip
 
 
 advice_options = together(
