@@ -8,6 +8,7 @@ simulated with the same people and random numbers, so comparisons are paired. Wh
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -195,12 +196,14 @@ def between_groups(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Compariso
     value = float(x.mean() - y.mean()) if len(x) and len(y) else math.nan
     if min(len(x), len(y)) < 2 or x.var() + y.var() == 0:
         return Comparison(IntervalEstimate(value))
-    each = x.var(ddof=1) / len(x), y.var(ddof=1) / len(y)
-    freedom = sum(each) ** 2 / sum(own**2 / (n - 1) for own, n in zip(each, (len(x), len(y)), strict=True))
+    with warnings.catch_warnings(action="ignore"):  # of a group whose values are all equal, which is no fault
+        found = scipy.stats.ttest_ind(x, y, equal_var=False)
+        ends = found.confidence_interval(level)
     together = len(x) + len(y) - 2
     pooled = math.sqrt(((len(x) - 1) * x.var(ddof=1) + (len(y) - 1) * y.var(ddof=1)) / together)
+    between = IntervalEstimate(value, float(ends.low), float(ends.high))
     effect = standardised(value / pooled, together, math.sqrt(len(x) * len(y) / (len(x) + len(y))), level)
-    return Comparison.of(value, math.sqrt(sum(each)), float(freedom), level, effect)
+    return Comparison(between, float(found.pvalue), effect, float(found.statistic), float(found.df))
 
 
 def standardised(d: float, freedom: float, scale: float, level: float = 0.95) -> IntervalEstimate:
