@@ -32,7 +32,7 @@ from assist.person import AssistPOMDP, Assumptions, ObservationModel, OfRobots, 
 from assist.person import beliefs as storages
 from assist.person.compliance_relaxation import compliance_bounds
 from assist.person.dynamics import act
-from assist.person.qmdp import _expected_of_few, expected
+from assist.person.expected_values import expected, expected_of_few
 from assist.person.solver import solve
 from assist.team import Pool, simulate
 from assist.team import model_group as groups
@@ -71,7 +71,7 @@ def with_readable(name: str) -> tuple[str, Callable[[], object], Any]:
     pomdp, rng = problem(PAPER), np.random.default_rng(0)
     x, belief = rng.integers(0, 836, 8000), rng.dirichlet(np.ones(60), 8000).reshape(-1, 6, 10)
     solved = qmdp(pomdp)
-    readable = patch("__main__.expected", _expected_of_few)
+    readable = patch("__main__.expected", expected_of_few)
     return f"8,000 people, {PAPER}", lambda: expected(solved.q_mdp, pomdp.robot_actions, x, belief), readable
 
 

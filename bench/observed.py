@@ -29,8 +29,9 @@ from assist.people.misconception import perceived_cost_to_go
 from assist.person import AssistPOMDP
 from assist.person import policy_iteration as iteration
 from assist.person.action_values import BEST
+from assist.person.mdp_values import initial_upper_bounds, sweep_order, value_iteration
 from assist.person.problem_arrays import ProblemArrays, read_only
-from assist.person.qmdp import initial_upper_bounds, load_compiled, sweep_order, value_iteration
+from assist.person.qmdp import load_compiled
 from planner import Table, cost_to_go, load
 
 TASKS = [

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from assist.person.beliefs import Seen
 from assist.person.lazy_policy import LazyPolicy
+from assist.person.seen_beliefs import Seen
 from assist.person.travel import Travel
 from assist.team.episodes import Episodes
 from assist.team.pool import Pool

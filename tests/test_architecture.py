@@ -32,24 +32,25 @@ ROOMS = {
     "planner.batch": "results_folder solve_instance solve_batch",
     "planner": "engine",
     "assist.declare": "declared tables options catalogue refusals",
-    "assist.people": """arguments state_keys hidden_type choices misconception decision user_code goals terms memory
-        memory_on_demand choice_model weighted_choice human ranges real_people spread belief influence_kernels
-        type_kernels trust_rules neighbours neighbourhood perceived_suggestions action_names signals""",
-    "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings pomdp assumptions
-        visiting_robot problem_arrays people_arrays rows problem_rows policy lazy_policy archive belief_filter
-        belief_update dynamics_kernel dynamics joint_belief beliefs hidden_beliefs rounding
-        action_values krylov sparse_iteration policy_iteration qmdp solution_cache alpha_vectors
-        upper_hull convex_bound hsvi search memory_needed further_beliefs solver time_expansion
+    "assist.people": """arguments state_keys hidden_type slots choices misconception decision same_costs user_code
+        goals terms memory memory_on_demand choice_model weighted_choice human ranges real_people spread belief
+        influence_kernels type_kernels trust_rules neighbours neighbourhood perceived_suggestions action_names
+        signals""",
+    "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings robot_actions
+        trust_shares pomdp assumptions visiting_robot problem_arrays people_arrays rows problem_rows policy lazy_policy
+        archive belief_filter belief_update dynamics_kernel dynamics joint_belief beliefs seen_beliefs hidden_beliefs
+        rounding action_values krylov sparse_iteration policy_iteration mdp_values expected_values qmdp solution_cache
+        alpha_vectors upper_hull convex_bound hsvi search memory_needed further_beliefs solver time_expansion
         subproblem_frontier attention_subproblem truncated_task state_cache closed_problem
         growing_problem backups leaf_estimates compliance_relaxation truncated_bound truncated_policy
         person_problem""",
-    "assist.team": """policy_names by_policy state action_check assignment seen attention attention_never outlook
-        questions robots_at_work engine priority whittle rollout policies affordable union pool schedule
-        common_random_numbers goal_knowledge trace episode episodes trust_of_people model_group beginning task_view run
-        traced_run requested simulate belief_trace illustration""",
+    "assist.team": """policy_names by_policy state action_check assignment seen baselines attention attention_never
+        outlook questions robots_at_work parts engine priority whittle rollout policies affordable drawn solving union
+        matching pool schedule common_random_numbers goal_knowledge trace episode episodes trust_of_people model_group
+        beginning task_view requested watcher run traced_run simulate belief_trace illustration""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
-    "assist.certify": """options action_prices envelope prices certificate visited_beliefs computation
-        truncated_prices sample_paths team_bound relaxed_value comparison""",
+    "assist.certify": """options action_prices envelope each_goal priced_steps prices certificate visited_beliefs
+        computation truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.certify.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
     "assist.learning": """method statistics repeated_measures log_steps log_json log_files log comparison intervals

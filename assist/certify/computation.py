@@ -16,20 +16,23 @@ from threading import Event
 
 import numpy as np
 
+from planner.system.limits import processors
 from planner.system.progress import Progress, adding
 from planner.system.threads import on_threads
 
-from ..people.arguments import whole
+from ..people.arguments import positive, require_options, whole
 from ..people.decision import Floats
 from ..person.attention_subproblem import AttentionSubproblem
+from ..person.memory_needed import MEMORY_LIMIT_MB
 from ..person.policy import Policy
 from ..person.solver import Solution, solve
 from ..person.travel import Travel
 from ..team.pool import Pool
 from .action_prices import needed, paid
 from .envelope import Lifted
-from .options import BoundOptions
-from .prices import SubproblemKind, kinds_of, search, window_of
+from .options import BoundOptions, Effort
+from .priced_steps import window_of
+from .prices import SubproblemKind, kinds_of, search
 from .visited_beliefs import BeliefRecorder
 
 
@@ -90,7 +93,7 @@ class Relaxation:
 
 @dataclass(frozen=True, kw_only=True)
 class Computation:
-    """The computation of a bound: its team, its limits, and its steps; other attributes as in `upper_bound`.
+    """The computation of a bound: its team, its limits, and its steps; other attributes as in `Effort`.
 
     Attributes
     ----------
@@ -112,6 +115,30 @@ class Computation:
     seed: int
     options: BoundOptions
     tell: Progress
+
+    @classmethod
+    def of(
+        cls, pool: Pool, team: tuple[int, ...], travel: Travel | None, seed: int, tell: Progress, effort: Effort
+    ) -> Computation:
+        """Return a computation that begins now.
+
+        Raises
+        ------
+        ValueError, TypeError
+            A number is out of its range, or there is no such option.
+        """
+        require_options(effort, Effort.__annotations__)
+        seconds = effort.get("time_limit")
+        travel = travel or pool.setting.travel(len(team))
+        if len(travel) != len(team):
+            raise ValueError(f"travel for {len(travel)}: expected {len(team)} people")
+        return cls(
+            pool, team, travel, gap=effort.get("gap", 1e-3), start=time.perf_counter(),
+            limit=math.inf if seconds is None else positive("time_limit", seconds),
+            memory_limit_mb=effort.get("memory_limit_mb", MEMORY_LIMIT_MB),
+            paths=whole("paths", effort.get("paths", 0)), workers=whole("jobs", effort.get("jobs") or processors(), 1),
+            seed=seed, options=effort.get("options") or BoundOptions(), tell=tell,
+        )  # fmt: skip
 
     @property
     def for_people(self) -> float:

@@ -33,9 +33,10 @@ from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.neighbourhood import Neighbourhood
 from ..person.attention_subproblem import AttentionSubproblem, backwards
+from ..person.mdp_values import initial_upper_bounds, value_iteration
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
+from ..person.qmdp import QMDP, look_ahead
 from ..person.solver import Solution
 from ..team.pool import Pool
 from ..team.seen import gained

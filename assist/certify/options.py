@@ -1,8 +1,9 @@
-"""Options of bounds on team policies."""
+"""Options of bounds on team policies: what a bound may take, and what trades its tightness for time and memory."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypedDict
 
 from .information_relaxation.options import RelaxationOptions
 
@@ -36,3 +37,39 @@ class BoundOptions:
     price_memory_mb: float = 500.0
     belief_episodes: int = 10_000
     relaxation: RelaxationOptions = field(default_factory=RelaxationOptions)
+
+
+class Effort(TypedDict, total=False):
+    """How tight `upper_bound` is to be, and what it may take. Each entry has a default; it is valid for all values.
+
+    Attributes
+    ----------
+    window : int or None
+        Number of steps with prices; by default that of `priced_steps.window_of`. On truncated tasks the default is at
+        most `options.priced_steps`, and less if the memory is short.
+    gap : float
+        Relative gap to which each subproblem is solved; 0.001 by default.
+    paths : int
+        Number of sample paths that tighten the bound; with 0, the default, the bound holds with certainty. They are
+        useful for teams of up to about six people. A time limit reduces the number before the first one is drawn. If
+        the time is not enough after all, or if everybody has a robot, there is no bound from them.
+    time_limit : float or None
+        Seconds in total; none by default. At most 40 % of the time is for prices; each subproblem then gets an equal
+        share of the rest. On truncated tasks, 30 % are for the outer relaxations and 25 % for prices. With sample
+        paths, half of the time is for these. Work on the first bounds is not interrupted, and the bound is valid after
+        any time.
+    memory_limit_mb : float
+        Memory of all subproblems in MB, which is estimated before they are built; the solutions of those that are
+        solved at a time may take as much again each.
+    jobs : int or None
+        Number of subproblems and of sample paths that are processed at a time; by default the number of processors.
+    options : BoundOptions or None
+    """
+
+    window: int | None
+    gap: float
+    paths: int
+    time_limit: float | None
+    memory_limit_mb: float
+    jobs: int | None
+    options: BoundOptions | None

@@ -4,15 +4,7 @@ The prices are the dual variables of the constraint that M robots attend to at m
 subgradient method raises the price of a step in which more than M robots would be busy, and lowers it otherwise. Every
 price vector gives a valid bound; the method approaches the tightest one.
 
-**People whose goals are unknown.** The bound is the mean over their goals, as if these were known. If person k pursues
-goal g with probability p_k(g), the claim of `certify.team_bound` holds with sum_g p_k(g) V_kg(lambda) in place of
-V_k(lambda), where V_kg is the optimal value of their subproblem if the goal is known to be g.
-
-Proof. A robot that knows all goals from the beginning can ignore them, so that no policy is better than its optimum.
-For each vector of goals the claim bounds this optimum. Its mean over the goals is as stated, since prices do not depend
-on goals and the sum over people is linear; goals of different people may depend on each other. The robot actions of
-V_kg are those with the unknown goal: steps that are optimal for any goal may be suggested. V_kg ends when the goal is
-reached, where a robot that does not see this could only pay for more.
+Why the bound holds for people whose goals are unknown stands at `certify.each_goal`.
 """
 
 from __future__ import annotations
@@ -34,11 +26,11 @@ from ..person.qmdp import QMDP, look_ahead
 from ..person.time_expansion import HERE, TimeExpansion
 from ..person.travel import Travel
 from ..person.truncated_bound import OuterRelaxation, TruncatedProblem, likely
-from ..team.attention import NoAssistance
 from ..team.pool import Pool
 from ..team.simulate import simulate
 from ..team.state import TeamAction, TeamState
 from .action_prices import supply
+from .each_goal import given_goals
 from .envelope import Envelope, OwnTheta
 from .options import BoundOptions
 
@@ -187,7 +179,7 @@ def kinds_of(
             kept_mb=room,
         )  # fmt: skip
         if beyond is None:
-            goals = pool.policies[model].pomdp.given_goals()
+            goals = given_goals(pool.policies[model].pomdp)
             beyond = [(chance, TruncatedProblem(problem)) for chance, problem in goals]
         parts += [(chance, problem, key) for chance, problem in beyond]
     _require_room_for_all([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)
@@ -204,23 +196,6 @@ def kinds_of(
         _require_room_for(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
         kinds.append(SubproblemKind(pool, visits, tail, places, one.outer, one.between, one.pairs, chance, envelope))
     return kinds
-
-
-def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5, plans: int = 6) -> int:
-    """Return the number of steps with prices; any number gives a valid bound.
-
-    It is twice the number of actions of the longest optimal plan. For a large team it may be more: the number of steps
-    in which more than `at_work` people per robot are at work if none is helped, but at most `plans` times that number
-    of actions. Free actions do not count: if the plan costs less than so many of the cheapest actions that are not
-    free, then it counts as that many.
-    """
-    tasks = {id(task): task for task in map(pool.choices, team)}
-    each = [one for task in tasks.values() for one in task.of_each_goal]
-    shortest = max(min(one.plan_length(one.initial), float(one.h[one.initial]) / one.unit) for one in each)
-    alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
-    steps = np.arange(math.ceil(plans * shortest))
-    working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)
-    return max(math.ceil(2 * shortest), int((working > at_work * len(pool.setting.robots)).sum()))
 
 
 def search(

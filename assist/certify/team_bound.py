@@ -41,21 +41,18 @@ in the same model.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
-from planner.system.limits import processors
 from planner.system.progress import Wanted, shows_progress
 from planner.system.results import Result
 
-from ..people.arguments import Seed, entropy, positive, whole
+from ..people.arguments import Seed, entropy, whole
 from ..people.decision import Floats
-from ..person.memory_needed import MEMORY_LIMIT_MB
 from ..person.travel import Travel
 from ..team.pool import Pool, require_pool
 from ..team.priority import Priority
@@ -65,7 +62,7 @@ from .certificate import Certificate, returns
 from .computation import Computation, InterruptedBound
 from .envelope import require_envelope
 from .information_relaxation.confidence import SampledBound
-from .options import BoundOptions
+from .options import Effort
 from .prices import kinds_of
 from .truncated_prices import truncated_prices
 
@@ -170,15 +167,9 @@ def upper_bound(
     team: Sequence[int] | Sequence[str] | None = None,
     *,
     travel: Travel | None = None,
-    window: int | None = None,
-    gap: float = 1e-3,
-    time_limit: float | None = None,
-    memory_limit_mb: float = MEMORY_LIMIT_MB,
-    paths: int = 0,
     seed: Seed = 0,
-    jobs: int | None = None,
-    options: BoundOptions | None = None,
     progress: Wanted = None,
+    **effort: Unpack[Effort],
 ) -> TeamBound:
     """Return an upper bound on the value of all policies for a team in which all people work from the beginning.
 
@@ -189,28 +180,11 @@ def upper_bound(
         Person at each place, by place in the pool or by name; by default the whole pool.
     travel : Travel, optional
         Travel between the places; by default that of the setting.
-    window : int, optional
-        Number of steps with prices; by default that of `prices.window_of`. On truncated tasks the default is at most
-        `options.priced_steps`, and less if the memory is short.
-    gap : float
-        Relative gap to which each subproblem is solved.
-    time_limit : float, optional
-        Seconds in total. At most 40 % of the time is for prices; each subproblem then gets an equal share of the rest.
-        On truncated tasks, 30 % are for the outer relaxations and 25 % for prices. With sample paths, half of the time
-        is for these. Work on the first bounds is not interrupted, and the bound is valid after any time.
-    memory_limit_mb : float
-        Memory of all subproblems in MB, which is estimated before they are built; the solutions of those that are
-        solved at a time may take as much again each.
-    paths : int
-        Number of sample paths that tighten the bound; with 0, the bound holds with certainty. They are useful for teams
-        of up to about six people. A time limit reduces the number before the first one is drawn. If the time is not
-        enough after all, or if everybody has a robot, there is no bound from them.
     seed : int or Generator
-    jobs : int, optional
-        Number of subproblems and of sample paths that are processed at a time; by default the number of processors.
-    options : BoundOptions, optional
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes.
+    **effort
+        How tight the bound is to be, and what it may take: see `Effort`.
 
     Raises
     ------
@@ -221,23 +195,14 @@ def upper_bound(
     """
     require_pool(pool)
     assert callable(progress)
-    start = time.perf_counter()
-    limit = math.inf if time_limit is None else positive("time_limit", time_limit)
-    members = members_of(pool, team)
-    if whole("paths", paths, 0):
+    run = Computation.of(pool, members_of(pool, team), travel, entropy(seed), progress, effort)
+    members, paths, window = run.team, run.paths, effort.get("window")
+    if paths:
         pool.choices(members[0]).require_one_goal("the bound from sample paths")
     require_envelope(pool, members, paths)
-    travel = travel or pool.setting.travel(len(members))
-    if len(travel) != len(members):
-        raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")
-    run = Computation(
-        pool, members, travel, gap=gap, start=start, limit=limit, memory_limit_mb=memory_limit_mb,
-        paths=whole("paths", paths, 0), workers=whole("jobs", jobs or processors(), 1), seed=entropy(seed),
-        options=options or BoundOptions(), tell=progress,
-    )  # fmt: skip
     together, kinds, price = truncated_prices(run, window) if run.needs_outer else run.prices(window)
     recorder = sample_paths.recorder(run, kinds, price, together) if run.paths and not run.needs_outer else None
-    relaxed, sampled = run.relaxed(kinds, price, start + run.for_people, recorder), None
+    relaxed, sampled = run.relaxed(kinds, price, run.start + run.for_people, recorder), None
     try:
         if run.paths and len(members) > len(pool.setting.robots):  # otherwise no robot ever has to choose
             relaxed = sample_paths.without_prices(run, relaxed, recorder)
@@ -247,8 +212,8 @@ def upper_bound(
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper
     rows = np.atleast_2d(relaxed.price)
     return TeamBound(
-        pool, members, travel, upper, relaxed.slack, relaxed.upper_seen, rows[0],
-        time.perf_counter() - start, relaxed.upper, sampled, rows[1:] if len(rows) > 1 else None,
+        pool, members, run.travel, upper, relaxed.slack, relaxed.upper_seen, rows[0],
+        time.perf_counter() - run.start, relaxed.upper, sampled, rows[1:] if len(rows) > 1 else None,
     )  # fmt: skip
 
 

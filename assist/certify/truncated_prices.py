@@ -7,7 +7,8 @@ from planner import LimitError
 from ..people.arguments import whole
 from ..people.decision import Floats
 from .computation import Computation
-from .prices import SubproblemKind, window_of
+from .priced_steps import window_of
+from .prices import SubproblemKind
 
 
 def truncated_prices(run: Computation, window: int | None) -> tuple[int, list[SubproblemKind], Floats]:

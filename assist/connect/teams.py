@@ -17,17 +17,19 @@ from planner import Table, sweep, task_of
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
 from ..people.ranges import Population
-from ..person.beliefs import Seen
 from ..person.pomdp import AssistPOMDP
+from ..person.seen_beliefs import Seen
 from ..person.settings import Setting
 from ..team.beginning import Beginning, Beginnings
+from ..team.by_policy import by_model
 from ..team.common_random_numbers import CommonRandomNumbers
 from ..team.engine import Engine, PeopleAtWork, StepTaken
 from ..team.model_group import ModelGroup, World
-from ..team.pool import MAX_ENUMERATED, Pool
+from ..team.pool import Pool
 from ..team.robots_at_work import RobotsAtWork
 from ..team.schedule import Schedule
-from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
+from ..team.solving import MAX_ENUMERATED
+from ..team.state import BASE, NOBODY, TeamAction, TeamState
 from ..team.task_view import RowsOfPeople
 
 if TYPE_CHECKING:
@@ -335,11 +337,9 @@ class Sight:
 
     def _cost_to_go(self) -> NDArray[np.float32]:
         """Return the mean cost-to-go over the goals, shape (N, K), under the beliefs or, without them, the prior."""
-        known, h = self._policies[0].pomdp.hidden, self._of_people(self._h)
-        if len(known.goals) == 1:
-            return np.asarray(h[:, :, 0])
-        belief = self._prior[self.teams.model] if self.teams.belief is None else self.teams.belief
-        return mean_over_goals(h.astype(np.float64), known.marginal(belief, "goal")).astype(np.float32)
+        teams, hidden = self.teams, self._policies[0].pomdp.hidden
+        share = hidden.share_of_goals(lambda: self._prior[teams.model] if teams.belief is None else teams.belief)
+        return mean_over_goals(self._of_people(self._h).astype(np.float64), share).astype(np.float32)
 
     def seen(self) -> dict[str, NDArray[Any]]:
         """Return the observation of all people, each array of shape (N, K) or (N, K, ...)."""

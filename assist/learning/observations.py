@@ -12,7 +12,8 @@ from planner import CostToGo
 from planner.system.arrays import read_only
 from planner.system.results import ByContent, Result
 
-from ..people.decision import NOTHING, Floats, same_cost
+from ..people.decision import NOTHING, Floats
+from ..people.same_costs import same_cost
 from .replay import Recording
 
 Ints = NDArray[np.int64]

@@ -22,7 +22,7 @@ from planner import CostToGo
 from ..declare.declared import AnyNumber, AnyText, Truth, View, declared
 from ..people.action_names import Matcher, words_of
 from ..people.choices import Choices
-from ..people.decision import same_cost
+from ..people.same_costs import same_cost
 from .continuations import (
     OptimalContinuations,
     action_name,

@@ -18,16 +18,18 @@ from planner import CostToGo
 
 from ..declare.refusals import InapplicableError
 from ..people.choices import Choices
-from ..people.decision import Floats, same_cost
+from ..people.decision import Floats
 from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
+from ..people.same_costs import same_cost
 from ..person.beliefs import Beliefs
 from ..person.joint_belief import is_certain
 from ..person.policy import Policy
 from ..person.settings import Setting
 from ..person.ties import first_best
-from ..team.attention import NoAssistance
+from ..team.baselines import NoAssistance
+from ..team.by_policy import by_model
 from ..team.outlook import beside
-from ..team.state import BASE, TeamPolicy, TeamState, by_model, worth_of_actions
+from ..team.state import BASE, TeamPolicy, TeamState, worth_of_actions
 from .advice import Question
 from .contrast import Contrast, contrast
 from .explanation import Cause, Explanation, Prospect, Sight, WhyNothing, WhyPerson, WhyQuestion, WhyStep

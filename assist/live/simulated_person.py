@@ -23,6 +23,7 @@ from ..people.human import Human
 from ..people.neighbours import SeenNothing, SeenRule
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.ranges import Population
+from ..people.slots import padded
 from ..people.state_keys import keys_of
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from ..people.trust_rules import EquationSeven, TrustRule
@@ -195,14 +196,13 @@ class SimulatedPerson:
         actions, targets = (np.concatenate([getattr(one, name) for one in each]) for name in ("actions", "targets"))
         expanded = np.arange(len(states)) < len(known)
         local = Transitions(
-            np.concatenate([[0], np.cumsum(counts)]), task.task.first_of_name[actions],
+            np.concatenate([[0], np.cumsum(counts)]), actions,
             np.array([number[int(to)] for to in targets], dtype=np.int64),
         )  # fmt: skip
         optimal = np.concatenate([optimal_choices(task, [one], own) for one, own in zip(known, each, strict=True)])
-        choices = Choices.arranged(
-            task.lookup(states), task.is_goal(states), local, optimal, names=task.task.actions,
-            costs=task.task.action_costs[actions], known=expanded, key=keys_of(task, states),
-        )  # fmt: skip
+        goal = task.is_goal(states)
+        slots = padded(task, local, optimal, ~goal & expanded)
+        choices = Choices(task.lookup(states), goal, *slots, task.task.actions, key=keys_of(task, states))
         if weighted:
             choices = self._with_terms(task, state, rows, choices)
         return choices, 0, np.arange(len(rows.actions))

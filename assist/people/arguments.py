@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from planner.system.errors import expected
 
 from ..declare.declared import MOST as MOST
 
@@ -59,6 +61,18 @@ def one_of(name: str, value: object, choices: Sequence[str]) -> None:
     """Check that a value is one of some words."""
     if value not in choices:
         raise ValueError(f"{name} {value!r}: expected {' or '.join(map(repr, choices))}")
+
+
+def require_options(given: Mapping[str, object], known: Iterable[str]) -> None:
+    """Check that all options of a call exist.
+
+    Raises
+    ------
+    TypeError
+        There is another one.
+    """
+    for name in given.keys() - set(known):
+        raise TypeError(f"{name}: there is no such option; {expected(name, known)}")
 
 
 def positive(name: str, value: object) -> float:

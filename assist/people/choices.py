@@ -6,23 +6,21 @@ state `x`. The rest of this package uses these arrays, and does not depend on PD
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import AnyTask, Table, Transitions, known_costs
+from planner import AnyTask, Table, known_costs
 from planner.system.arrays import outline, read_only
 
 from .hidden_type import KNOWN, OfGoals
+from .slots import WAIT as WAIT
+from .slots import padded
 from .state_keys import keys_of
 
 T = TypeVar("T", bound=np.generic)
-
-WAIT = -1
-"""Action number of waiting, the only choice in a state without applicable actions."""
 
 STAND_STILL = "(wait)"
 """Name of waiting."""
@@ -102,62 +100,9 @@ class Choices:
         table = table if isinstance(table, Table) else known_costs(table)
         if not isinstance(table, Table):
             raise TypeError(f"{table.task.name}: expected a task whose states have a table; this one is too large")
-        space, task, rows = table.space, table.task, table.space.transitions
-        return cls.arranged(
-            table.h.copy(), space.goal.copy(), rows._replace(actions=task.first_of_name[rows.actions]),
-            table.optimal_choices(), names=task.actions, costs=task.action_costs[rows.actions],
-            initial=space.initial, key=keys_of(table, np.arange(len(table))),
-        )  # fmt: skip
-
-    @classmethod
-    def arranged(
-        cls,
-        h: NDArray[np.float64],
-        goal: NDArray[np.bool_],
-        rows: Transitions,
-        optimal: NDArray[np.bool_],
-        *,
-        names: tuple[str, ...],
-        costs: NDArray[np.float64],
-        known: NDArray[np.bool_] | None = None,
-        initial: int = 0,
-        key: NDArray[np.uint64] | None = None,
-    ) -> Choices:
-        """Return choices from compressed rows, with waiting as the only choice where no action is applicable.
-
-        Parameters
-        ----------
-        h, goal : float and bool arrays, shape (n,)
-        rows : Transitions
-            The m choices of all n states.
-        optimal : bool array, shape (m,)
-        names : tuple of str
-            The ground actions.
-        costs : float array, shape (m,)
-            Cost of each choice, in the file's unit.
-        known : bool array, shape (n,), optional
-            Whether the choices of each state are known; other states have empty rows.
-        initial : int
-        key : uint64 array, shape (n,), optional
-        """
-        counts = np.diff(rows.offsets)
-        source = np.repeat(np.arange(len(h)), counts)
-        slot = np.arange(len(source)) - rows.offsets[source]
-        shape = (len(h), max(1, int(counts.max(initial=0))))
-        applicable = np.zeros(shape, dtype=bool)
-        actions = np.full(shape, WAIT, dtype=np.int64)
-        targets = np.repeat(np.arange(len(h))[:, None], shape[1], axis=1)
-        each = np.zeros(shape)
-        best = np.zeros(shape, dtype=bool)
-        applicable[source, slot] = True
-        actions[source, slot] = rows.actions
-        targets[source, slot] = rows.targets
-        each[source, slot] = costs
-        best[source, slot] = optimal
-        stuck = (counts == 0) & ~goal & (True if known is None else known)
-        applicable[stuck, 0] = True
-        each[stuck, 0] = 1.0
-        return cls(h, goal, applicable, actions, targets, each, best, names, initial, key=key)
+        space, task, key = table.space, table.task, keys_of(table, np.arange(len(table)))
+        slots = padded(table, space.transitions, table.optimal_choices(), ~space.goal)
+        return cls(table.h.copy(), space.goal.copy(), *slots, task.actions, space.initial, key=key)
 
     def __len__(self) -> int:
         return len(self.h)
@@ -179,23 +124,6 @@ class Choices:
             unknown_goal=None,
         )  # fmt: skip
 
-    def around(self, rows: NDArray[np.int64]) -> Choices:
-        """Return the choices in some rows, shape (N,), which come first; their successors follow without choices."""
-        after = np.unique(self.targets[rows])
-        every, count = np.concatenate([rows, after]), len(rows)
-        leaf = np.arange(len(every)) >= count
-        targets = np.where(leaf, np.arange(len(every)), 0)[:, None].repeat(self.targets.shape[1], axis=1)
-        targets[:count] = count + np.searchsorted(after, self.targets[rows])
-        goals = self.unknown_goal
-        return replace(
-            self, h=self.h[every], goal=self.goal[every], applicable=self.applicable[every] & ~leaf[:, None],
-            actions=self.actions[every], targets=targets, costs=self.costs[every], optimal=self.optimal[every],
-            state=None if self.state is None else self.state[every], key=self.keys[every],
-            features=None if self.features is None else self.features[every],
-            unknown_goal=None if goals is None else goals.of_rows(every),
-            offered=None if self.offered is None else self.offered[every],
-        )  # fmt: skip
-
     @property
     def of_each_goal(self) -> tuple[Choices, ...]:
         """The choices with each of the goals known."""
@@ -212,27 +140,6 @@ class Choices:
         costs = self.costs[self.applicable]
         return float(costs[costs > 0].min(initial=np.inf)) if (costs > 0).any() else 1.0
 
-    def plan_length(self, row: int) -> float:
-        """Return the smallest number of actions of an optimal plan from a row; infinite in a dead end.
-
-        If the choices end before a goal, the rest of the plan counts in proportion to its cost.
-        """
-        if np.isinf(self.h[row]):
-            return math.inf
-        reached, seen = np.array([row]), np.zeros(len(self), dtype=bool)
-        for length in range(len(self)):
-            if self.goal[reached].any():
-                return length
-            ends = reached[~self.optimal[reached].any(axis=1)]
-            if len(ends):
-                left = float(self.h[ends].min())
-                done = float(self.h[row]) - left
-                return length + left * (length / done if done > 0 else 1 / self.unit)
-            seen[reached] = True
-            following = np.unique(self.targets[reached][self.optimal[reached]])
-            reached = following[~seen[following]]
-        return math.inf
-
     @property
     def task_states(self) -> int:
         """The number of states of the task."""
@@ -246,12 +153,6 @@ class Choices:
     def task_state(self, row: int) -> int:
         """Return the task state of a row."""
         return row if self.state is None else int(self.state[row])
-
-    def row(self, state: int) -> int:
-        """Return the row of a task state without memory, or any of its rows if there is none."""
-        if self.state is None:
-            return state
-        return self.initial if self.state[self.initial] == state else int(np.searchsorted(self.state, state))
 
     def of_task(self, array: NDArray[T]) -> NDArray[T]:
         """Return the entries of an array of the task's states, shape (m, ...), arranged by row, shape (n, ...)."""

@@ -29,17 +29,6 @@ def perceived_cost(choices: Choices, h: Floats) -> Floats:
     return np.where(choices.applicable, choices.costs + (h if h.ndim == 2 else h[choices.targets]), np.inf)
 
 
-def same_cost(a: Floats, b: Floats) -> NDArray[np.bool_]:
-    """Return whether sums of costs are the same, of any shape; infinite ones are not.
-
-    Costs with decimals are rounded, and so are their sums. Two sums that differ by at most four units in the last place
-    are taken as the same. Different ones differ by at least one unit of whole-number cost (`Task.unit`), which is more
-    unless a sum has more than 2^50 of these units.
-    """
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.isfinite(a) & (np.abs(a - b) <= 4 * np.spacing(np.abs(a))))
-
-
 def perceived_value(choices: Choices, q: Floats) -> Floats:
     """Return V(x) = -min_a Q(x, a), shape (n,), with V(goal) = 0.
 

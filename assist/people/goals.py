@@ -51,14 +51,14 @@ def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None)
     return shares / shares.sum()
 
 
-def first_of(task: Task | Goals) -> Task | Table:
-    """Return the task of the first of several goals, and any other task as it is."""
-    return next(iter(task.tables.values())) if isinstance(task, Goals) else task
-
-
-def each_of(task: CostToGo | Goals) -> tuple[CostToGo, ...]:
+def each_of(task: Task | Goals) -> tuple[Task | Table, ...]:
     """Return the cost-to-go of each goal, all on the same states; of any other task, its own."""
     return tuple(task.tables.values()) if isinstance(task, Goals) else (task,)
+
+
+def first_of(task: Task | Goals) -> Task | Table:
+    """Return the task of the first of several goals, and any other task as it is."""
+    return each_of(task)[0]
 
 
 def costs_to_go(task: CostToGo | Goals, states: NDArray[np.int64]) -> Floats:

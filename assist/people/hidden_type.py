@@ -25,7 +25,7 @@ probabilities in `prior`: in a class of one's own, which `person.Assumptions` ta
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -101,8 +101,7 @@ class HiddenType:
         Prior probability of each goal.
     beta : float array, shape (B,)
         The values of beta that are distinguished.
-    assume_likeliest : bool
-    sharpness : float
+    assume_likeliest, sharpness
         As in `OfGoals`.
     """
 
@@ -153,6 +152,10 @@ class HiddenType:
         """Return the distribution of a part, shape (..., V), under beliefs, shape (..., H, T)."""
         return np.asarray(self.with_theta(belief, part).sum(axis=-1))
 
+    def share_of_goals(self, belief: Callable[[], Floats]) -> Floats:
+        """Return the probability of each goal, shape (..., G), under beliefs; (1,) without these for a known goal."""
+        return self.marginal(belief(), "goal") if len(self.goals) > 1 else np.ones(1)
+
     def goals_shown(self, belief: Floats) -> dict[str, float]:
         """Return the probability of each goal under a belief, shape (H, T); nothing if the goal is known."""
         if len(self.goals) == 1:
@@ -195,11 +198,3 @@ class HiddenType:
 def mean_over_goals(values: Floats, share: Floats) -> Floats:
     """Return the mean of values of each goal, shape (..., G), weighted by the goals' probabilities."""
     return np.asarray(np.where(share > 0, share * np.where(share > 0, values, 0.0), 0.0).sum(axis=-1))
-
-
-def drawn_goals(priors: list[Mapping[str, float]], model: Ints, uniform: Floats) -> Ints:
-    """Return the number of each person's goal, drawn from their model's prior by uniform numbers."""
-    below = np.cumsum([list(prior.values()) for prior in priors], axis=1)[model]
-    # rounding must not select a goal of probability 0
-    last = np.array([np.flatnonzero(list(prior.values()))[-1] for prior in priors])[model]
-    return np.minimum((uniform[..., None] >= below).sum(axis=-1), last)

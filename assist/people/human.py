@@ -136,20 +136,16 @@ class HumanModel:
         return [(own, np.ascontiguousarray(q[:, :, goal])) for goal, own in enumerate(self.choices.of_each_goal)]
 
     @classmethod
-    def exact(
-        cls, choices: Choices, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
-    ) -> HumanModel:
+    def exact(cls, choices: Choices, **rates: float) -> HumanModel:
         """Return the model of a person of whom only the task is known (`knowledge="exact"`): h* in place of h."""
         q = _of_goals(perceived_cost(own, own.h) for own in choices.of_each_goal)
-        return cls(choices, q, eta=eta, lapse=lapse, utility_scale=utility_scale)
+        return cls(choices, q, **rates)
 
     @classmethod
-    def own(
-        cls, choices: Choices, human: Human, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
-    ) -> HumanModel:
+    def own(cls, choices: Choices, human: Human, **rates: float) -> HumanModel:
         """Return the model of a person whose perceived costs are known (`knowledge="own"`, as in the paper)."""
         q = _of_goals(perceived_cost(own, human.expects(own)) for own in choices.of_each_goal)
-        return cls(choices, q, eta=eta, lapse=lapse, utility_scale=utility_scale)
+        return cls(choices, q, **rates)
 
 
 def _of_goals(each: Iterable[Floats]) -> Floats:

@@ -4,12 +4,12 @@ from .attention_subproblem import AttentionSubproblem as AttentionSubproblem
 from .joint_belief import JointBelief as JointBelief
 from .leaf_bounds import LeafBounds as LeafBounds
 from .leaf_estimates import LeafEstimates as LeafEstimates
+from .mdp_values import evaluate as evaluate
 from .observation_model import ObservationModel as ObservationModel
 from .person_problem import PersonProblem as PersonProblem
 from .policy import Policy as Policy
 from .pomdp import AssistPOMDP as AssistPOMDP
 from .qmdp import QMDP as QMDP
-from .qmdp import evaluate as evaluate
 from .qmdp import qmdp as qmdp
 from .robots import OfRobots as OfRobots
 from .robots import Robot as Robot

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..people.belief import Grid
@@ -34,8 +35,9 @@ class Assumptions:
         As in `AssistPOMDP.of`.
     lapse, eta, utility_scale : float
         As in `HumanModel`.
-    types : type of HiddenType
-        What is hidden about the person: a class of one's own has further parts.
+    types : callable
+        What is hidden about the person: a class of `HiddenType`, or a function with its arguments. A class of one's own
+        has further parts.
     """
 
     population: Population = field(default_factory=Population)
@@ -47,7 +49,7 @@ class Assumptions:
     lapse: float = 1e-3
     eta: float = 0.2
     utility_scale: float = 1.0
-    types: type[HiddenType] = HiddenType
+    types: Callable[..., HiddenType] = HiddenType
 
     @classmethod
     def of(cls, setting: Setting, human: Human | None, population: Population) -> Assumptions:

@@ -12,9 +12,9 @@ from planner.system.limits import processors
 
 from ..people.decision import Floats
 from .action_values import BEST, action_values
+from .mdp_values import sweep_order
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
-from .qmdp import sweep_order
 
 
 def bellman_backup(pomdp: AssistPOMDP, value: Floats) -> Floats:

@@ -10,14 +10,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.belief import ImpossibleObservationError
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import LARGEST
-from .problem_arrays import ProblemArrays
+from .problem_arrays import Acts, ProblemArrays
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 IMPOSSIBLE = "an action has probability 0 under the belief; a lapse rate above 0 in the model rules this out"
+
+
+def update_readable(
+    rows: Ints, acts: Acts, belief: Floats, erred: Bools, optimal: Bools, possible: Floats, m: ProblemArrays
+) -> None:
+    """Update the beliefs in people of one model who have acted: the definition of `Beliefs.update`.
+
+    Parameters
+    ----------
+    rows : int array, shape (m,)
+        Numbers of the people.
+    acts : Acts
+        What they did.
+    belief, erred : float and bool arrays, shapes (P, H, T) and (P,)
+        The beliefs, which change, and whether the last action was a mistake; without rows for no beliefs.
+    optimal, possible
+        As in `PersonModel`.
+    m : ProblemArrays
+    """
+    erred[rows] = False
+    acted = np.flatnonzero(acts.slot != NOTHING)
+    rows, (x, robot, slot, goes_on) = rows[acted], acts.of(acted)
+    if not len(rows):
+        return
+    acting = m.afterstate[x, robot]
+    known = belief[rows] if len(belief) else possible[None]
+    erred[rows] = mistaken(optimal[acting, slot], known, acting, m)
+    if not len(belief):
+        return
+    after, y = updated(known, x, robot, slot, m), m.targets[acting, slot]
+    on = np.flatnonzero(goes_on & m.goal[:, y].any(axis=0))
+    after[on] = without_reached(after[on], y[on], m)
+    belief[rows] = after
 
 
 def in_order(terms: Floats) -> Floats:

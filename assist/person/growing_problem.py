@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from ..people.choices import WAIT
 from ..people.decision import NOTHING, Floats
+from .expected_values import expected
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 from .problem_rows import ProblemRows, Snapshot
-from .qmdp import expected
 from .rows import OWN, Rows
 from .state_cache import NONE
 from .truncated_task import TruncatedTask

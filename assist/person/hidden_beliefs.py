@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import Floats
-from .beliefs import Ask, Groups, PersonModel, Seen
+from .beliefs import Ask, Groups, PersonModel
 from .evidence import Evidence
 from .joint_belief import JointBelief, expected_answers, said_in, same_suggestions
 from .observation_model import ObservationModel
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import Acts
+from .seen_beliefs import Seen
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]

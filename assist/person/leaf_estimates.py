@@ -19,8 +19,8 @@ from planner.system.progress import Progress
 from ..people.decision import Floats
 from ..people.goals import first_of
 from .backups import bellman_backup
+from .mdp_values import initial_upper_bounds, value_iteration
 from .pomdp import AssistPOMDP
-from .qmdp import initial_upper_bounds, value_iteration
 from .truncated_task import TruncatedTask, never_erring
 
 

@@ -49,10 +49,7 @@ class PeopleArrays(NamedTuple):
         cls, x: NDArray[np.int64], robot: NDArray[np.int64], who: NDArray[np.int64], theta: Floats,
         seen: NDArray[np.int64], uniform: Floats,
     ) -> PeopleArrays:  # fmt: skip
-        """Return flat views of teams' arrays, of shape (N, K, ...) in C order, with one person after the other.
-
-        Slots and costs begin at `NOTHING` and 0.
-        """
+        """Return flat views of teams' arrays, of shape (N, K, ...) in C order, with one person after the other."""
         return cls(
             x.reshape(-1), robot.reshape(-1), who.reshape(-1), theta.reshape(-1), seen.reshape(-1),
             uniform.reshape(-1, 2), np.full(x.size, NOTHING), np.zeros(x.size),

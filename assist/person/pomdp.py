@@ -12,28 +12,29 @@ for one of several goals may be suggested.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple, get_args
+from functools import cached_property, partial
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.arrays import outline
+from planner.system.arrays import outline, read_only
 
 from ..people import belief as beliefs
 from ..people.arguments import check_costs, one_of
 from ..people.belief import Grid
-from ..people.choice_model import ChoiceModel, boltzmann, chances, value
-from ..people.choices import Choices
+from ..people.choice_model import ChoiceModel, boltzmann, chances
 from ..people.decision import NOTHING, Floats
-from ..people.hidden_type import KNOWN, HiddenType
+from ..people.hidden_type import HiddenType
 from ..people.human import HumanModel
-from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.ranges import Population
 from ..people.trust_rules import EquationSeven, TrustRule, counts_of
 from .leaf_bounds import LeafBounds
+from .robot_actions import RobotActions
 from .robots import USUAL, OfRobots, Suggestions
+from .trust_shares import trust_shares
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +46,7 @@ class AssistPOMDP:
 
     Attributes
     ----------
-    model : HumanModel
-    hidden : HiddenType
-        The H types of a person.
-    grid : Grid
-        The values of beta and theta.
+    model, hidden, grid : HumanModel, HiddenType, Grid
     gamma : float
         Discount factor per step, in (0, 1).
     prior : float array, shape (H, T)
@@ -101,12 +98,7 @@ class AssistPOMDP:
     __repr__ = outline
 
     def __post_init__(self) -> None:
-        for array in (
-            self.prior, self.robot_actions, self.suggested, self.afterstate, self.robot_costs, self.chosen,
-            self.unsuggested, self.low, self.weight, self.order, self.followed_low, self.followed_weight,
-        ):  # fmt: skip
-            if array is not None:
-                array.flags.writeable = False
+        read_only(self)
 
     @classmethod
     def of(
@@ -121,7 +113,7 @@ class AssistPOMDP:
         suggestions: Suggestions = "optimal",
         frontier: LeafBounds | None = None,
         trust: TrustRule | None = None,
-        types: type[HiddenType] = HiddenType,
+        types: Callable[..., HiddenType] = HiddenType,
     ) -> AssistPOMDP:
         """Build the problem for a person drawn from a population (by default, the paper's population).
 
@@ -135,7 +127,6 @@ class AssistPOMDP:
         population : Population, optional
             Prior distribution of (beta, theta).
         gamma : float
-            As in the attributes of the class.
         robot : OfRobots
             What the robot's actions cost, and whether it can also execute an action itself, before the person acts.
         suggestions : "optimal" or "all"
@@ -145,8 +136,8 @@ class AssistPOMDP:
             effect.
         trust : TrustRule, optional
             How theta moves; by default equation (7) with the model's rate and unit of utility.
-        types : type of HiddenType
-            What is hidden about the person.
+        types : callable
+            What is hidden about the person, as in `Assumptions`.
 
         Raises
         ------
@@ -162,18 +153,15 @@ class AssistPOMDP:
         if robot.execute and has_memory:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
-        robots = _RobotActions.of(model.choices, suggestions, robot, None if frontier is None else frontier.states)
+        robots = RobotActions.of(model.choices, suggestions, robot, None if frontier is None else frontier.states)
         rule = EquationSeven(model.eta, model.utility_scale) if trust is None else trust
         grid = (grid or Grid.regular(population)).with_counts(counts_of(rule))
         goals = model.choices.goals
         hidden = types(goals.prior, grid.beta, goals.assume_likeliest, goals.sharpness)
         chosen, unsuggested = _choice_probabilities(model, chooses, hidden, robots.suggested)
-        low, weight = _trust_shares(model, chooses, grid, rule, frontier, robots.suggested, followed=False)
-        followed_low = followed_weight = None
-        if rule.uses_answer:
-            followed_low, followed_weight = _trust_shares(
-                model, chooses, grid, rule, frontier, robots.suggested, followed=True
-            )
+        moves = partial(trust_shares, model, chooses, grid, rule, frontier, robots.suggested)
+        low, weight = moves(followed=False)
+        followed_low, followed_weight = moves(followed=True) if rule.uses_answer else (None, None)
         return cls(
             model=model, hidden=hidden, grid=grid, gamma=gamma, prior=hidden.prior(grid.prior(population)),
             robot_actions=robots.number, suggested=robots.suggested, afterstate=robots.afterstate,
@@ -181,31 +169,6 @@ class AssistPOMDP:
             frontier=None if frontier is None else frontier.of_types(hidden.goal_of),
             followed_low=followed_low, followed_weight=followed_weight,
         )  # fmt: skip
-
-    def given_goals(self) -> list[tuple[float, AssistPOMDP]]:
-        """Return each possible goal's prior probability, and the problem of a person of whom that goal is known.
-
-        The robot actions are those of this problem, so that some suggestions may be useless to that person.
-        """
-        goals, found = self.model.choices.goals, list[tuple[float, AssistPOMDP]]()
-        if self.model.choices.unknown_goal is None:
-            return [(1.0, self)]
-        for g, ((choices, q), share) in enumerate(zip(self.model.of_each_goal, goals.prior.values(), strict=True)):
-            if share == 0:
-                continue
-            own, of, followed, by = self.hidden.goal_of == g, slice(g, g + 1), self.followed_low, self.followed_weight
-            found.append((share, replace(
-                self, model=replace(self.model, choices=choices, q=q),
-                hidden=replace(self.hidden, goals={KNOWN: 1.0}, assume_likeliest=False, sharpness=1.0),
-                prior=self.prior[own] / share, chosen=self.chosen[:, :, own], unsuggested=self.unsuggested[:, :, own],
-                low=self.low[:, :, of], weight=self.weight[:, :, of],
-                robot_actions=np.where(choices.goal, 1, self.robot_actions),
-                suggested=np.where(choices.goal[:, None], NOTHING, self.suggested),
-                followed_low=None if followed is None else followed[:, :, of],
-                followed_weight=None if by is None else by[:, :, of],
-                order=None if self.order is None else self.order[of],
-            )))  # fmt: skip
-        return found
 
     @cached_property
     def final(self) -> NDArray[np.bool_]:
@@ -307,42 +270,6 @@ class AssistPOMDP:
         return np.where(executes, np.take_along_axis(suggested, same, axis=1), NOTHING)
 
 
-class _RobotActions(NamedTuple):
-    """The robot actions of each state; attributes as in `AssistPOMDP`."""
-
-    number: NDArray[np.int64]
-    suggested: NDArray[np.int64]
-    afterstate: NDArray[np.int64]
-    costs: Floats
-
-    @classmethod
-    def of(
-        cls, choices: Choices, suggestions: Suggestions, robot: OfRobots, leaves: NDArray[np.int64] | None
-    ) -> _RobotActions:
-        """Number the robot actions of each state: nothing, the suggestions, and the executions if it executes."""
-        nothing, suggestion, execution = robot.costs
-        best = choices.optimal if choices.offered is None else choices.offered
-        offered = best if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
-        offered = offered & ~choices.goal[:, None]
-        count = offered.sum(axis=1)
-        robot_actions = 1 + count * (1 + robot.execute)
-        shape = (len(choices), int(robot_actions.max(initial=1)))
-        suggested = np.full(shape, NOTHING, dtype=np.int64)
-        afterstate = np.repeat(np.arange(len(choices))[:, None], shape[1], axis=1)
-        costs = np.zeros(shape)
-        costs[~choices.goal, 0] = nothing
-        state, slot = np.nonzero(offered)
-        column = np.cumsum(offered, axis=1)[state, slot]
-        suggested[state, column] = slot
-        costs[state, column] = suggestion
-        if robot.execute:
-            there = choices.targets[state, slot]
-            known = np.ones(len(there), dtype=bool) if leaves is None else ~np.isin(there, leaves)
-            afterstate[state, column + count[state]] = np.where(known, there, state)
-            costs[state, column + count[state]] = execution
-        return cls(robot_actions, suggested, afterstate, costs)
-
-
 def _choice_probabilities(
     model: HumanModel, chooses: ChoiceModel, hidden: HiddenType, suggested: NDArray[np.int64]
 ) -> tuple[Floats, Floats]:
@@ -357,25 +284,3 @@ def _choice_probabilities(
     slots = np.arange(chosen.shape[1])
     columns = [np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T]
     return chosen, np.stack(columns, axis=1)
-
-
-def _trust_shares(
-    model: HumanModel, chooses: ChoiceModel, grid: Grid, rule: TrustRule, frontier: LeafBounds | None,
-    suggested: NDArray[np.int64], *, followed: bool,
-) -> tuple[NDArray[np.int64], Floats]:  # fmt: skip
-    """Return the grid's shares of theta after each robot action, for each goal, both of shape (n, R, G, T)."""
-    slot, silent = np.maximum(suggested, 0), suggested[:, :, None] == NOTHING  # then theta does not move
-    each = []
-    for goal, (choices, q) in enumerate(model.of_each_goal):
-        v = value(chooses, choices, q)
-        if frontier is not None:  # no choices are known at the leaves, hence no value of the next state
-            leaves = frontier.states
-            v[leaves] = -choices.h[leaves] if frontier.value is None else frontier.value[:, goal]
-        perceived = PerceivedSuggestions.of(
-            np.take_along_axis(q, slot, axis=1)[:, :, None], q.min(axis=1)[:, None, None],
-            v[:, None, None], v[np.take_along_axis(choices.targets, slot, axis=1)][:, :, None],
-            np.take_along_axis(choices.optimal, slot, axis=1)[:, :, None],
-        )  # fmt: skip
-        theta, count = moved(rule, grid.theta, grid.count, perceived.event(followed, rule.feedback))
-        each.append(grid.shares(np.where(silent, grid.theta, theta), np.where(silent, grid.count, count)))
-    return np.stack([low for low, _ in each], axis=2), np.stack([weight for _, weight in each], axis=2)

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from ..people.arguments import whole
 from ..people.decision import Floats
 from . import hsvi
+from .mdp_values import evaluate, sweep_order
 from .policy_iteration import rounding_error
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
-from .qmdp import QMDP, evaluate, sweep_order
+from .qmdp import QMDP
 from .rounding import ROUNDING, rounding
 from .upper_hull import new_program
 

@@ -13,9 +13,10 @@ from collections import OrderedDict
 import numpy as np
 
 from ..people.decision import Floats
+from .mdp_values import initial_upper_bounds, sweep_order
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
-from .qmdp import QMDP, initial_upper_bounds, look_ahead, qmdp, sweep_order
+from .qmdp import QMDP, look_ahead, qmdp
 from .sparse_iteration import is_small
 
 

@@ -4,9 +4,9 @@ The algorithm is heuristic search value iteration (Smith and Simmons, "Point-bas
 and implementation", 2005), adapted to this problem: x is observed, so that every state has bounds of its own, over
 beliefs of H * T numbers. A person who reaches their goal stops, which the robot sees.
 
-- Lower bound: each state has alpha vectors. The first ones belong to policies that depend on x only (`qmdp.evaluate`).
-  Each backup adds the vector of a robot action that is followed by existing vectors. So the lower bound is the value of
-  a policy that can be executed.
+- Lower bound: each state has alpha vectors. The first ones belong to policies that depend on x only
+  (`mdp_values.evaluate`). Each backup adds the vector of a robot action that is followed by existing vectors. So the
+  lower bound is the value of a policy that can be executed.
 - Upper bound: each state has a hull. It starts at the values of the problem with observed type and theta (`qmdp.qmdp`).
   Backups lower it at single beliefs.
 

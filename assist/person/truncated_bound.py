@@ -75,9 +75,9 @@ from .backups import bellman_backup
 from .closed_problem import require_no_execution, value_beyond
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
 from .leaf_bounds import LeafBounds
+from .mdp_values import initial_upper_bounds, value_iteration
 from .memory_needed import first_bounds_bytes, require_room
 from .pomdp import AssistPOMDP
-from .qmdp import initial_upper_bounds, value_iteration
 from .time_expansion import AWAY, HERE
 from .truncated_task import TruncatedTask
 

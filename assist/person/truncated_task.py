@@ -44,6 +44,7 @@ from ..people.human import Human
 from ..people.memory_on_demand import Remembering
 from ..people.misconception import Misconception
 from ..people.ranges import Population
+from ..people.slots import padded
 from ..people.state_keys import keys_of
 from ..people.trust_rules import EquationSeven, constant
 from .assumptions import Assumptions
@@ -461,16 +462,11 @@ class _Growth:
         )
         goal, h, states = np.array(self.goal), np.array(self.h), np.array(self.states)
         rows, there = Transitions(offsets, actions, targets), Transitions(offsets, actions, states[targets])
-        optimal, task = optimal_for_each(self.known, states, there), self.first.task
-        named = rows._replace(actions=task.first_of_name[actions])
-        key = keys_of(self.first, states)
-        each = [
-            Choices.arranged(
-                h[:, number], goal[:, number], named, optimal[:, number], names=task.actions,
-                costs=task.action_costs[actions], known=expanded, key=key,
-            )
-            for number in range(len(self.each))
-        ]  # fmt: skip
+        optimal, key = optimal_for_each(self.known, states, there), keys_of(self.first, states)
+        each = []
+        for number, (own, reached) in enumerate(zip(h.T, goal.T, strict=True)):
+            slots = padded(self.first, rows, optimal[:, number], ~reached & expanded)
+            each.append(Choices(own.copy(), reached.copy(), *slots, self.first.task.actions, key=key))
         found = TruncatedTask.joined(self.known, each, states, np.flatnonzero(~expanded))
         if among is None:
             return found

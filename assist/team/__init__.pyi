@@ -1,7 +1,7 @@
 from .assignment import assigned as assigned
 from .attention import AttentionSwitching as AttentionSwitching
-from .attention import NoAssistance as NoAssistance
-from .attention import Reactive as Reactive
+from .baselines import NoAssistance as NoAssistance
+from .baselines import Reactive as Reactive
 from .belief_trace import beliefs_of_episode as beliefs_of_episode
 from .episode import Episode as Episode
 from .episodes import Episodes as Episodes
@@ -12,10 +12,12 @@ from .policies import named as named
 from .policy_names import POLICIES as POLICIES
 from .pool import Pool as Pool
 from .priority import Priority as Priority
+from .requested import Conditions as Conditions
 from .rollout import Rollout as Rollout
 from .rollout import RolloutOptions as RolloutOptions
 from .schedule import Schedule as Schedule
 from .simulate import simulate as simulate
+from .solving import Solving as Solving
 from .state import BASE as BASE
 from .state import NOBODY as NOBODY
 from .state import TeamAction as TeamAction

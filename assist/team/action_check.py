@@ -6,7 +6,8 @@ import numpy as np
 
 from ..people.decision import NOTHING
 from ..people.user_code import UserCodeError
-from .state import BASE, NOBODY, TeamAction, TeamState, by_model
+from .by_policy import by_model
+from .state import BASE, NOBODY, TeamAction, TeamState
 
 
 def check(team: TeamState, action: TeamAction) -> None:

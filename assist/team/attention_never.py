@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..person.mdp_values import evaluate
 from ..person.policy import OfRows, Policy
-from ..person.qmdp import evaluate
 from .attention import AttentionSwitching
 from .by_policy import ByPolicy
 from .state import TeamState

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..people.hidden_type import drawn_goals
-from .common_random_numbers import from_the_prior
+from ..person.pomdp import AssistPOMDP
 from .model_group import World
 from .pool import Pool
 
@@ -74,6 +73,42 @@ class Beginnings:
         if self._world == "model":
             goal, mind, beta, theta = from_the_prior(self._pomdps, model, draw(0))
         else:
-            goal = drawn_goals(self._goals, model, draw(4)) if len(self._goals[0]) > 1 else np.zeros_like(model)
+            goal = drawn_goals(self._goals, model, draw(4))
             mind, beta, theta = np.zeros_like(model), self._beta[people], self._theta[people]
         return Beginning(model, mind, goal, beta, theta, self._initial[model], self._finished[people])
+
+
+def from_the_prior(pomdps: Sequence[AssistPOMDP], model: Ints, drawn: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+    """Draw people in the robot's model, from the prior of their model.
+
+    Parameters
+    ----------
+    pomdps : sequence of AssistPOMDP
+        Problem of each model.
+    model : int array
+        Model of each person.
+    drawn : float array, of the same shape
+        Uniform numbers.
+
+    Returns
+    -------
+    goal, mind, beta, theta : arrays of the same shape
+        Number of the goal, number of the type, and the expertise and theta.
+    """
+    goal, mind = np.zeros((2, *model.shape), dtype=np.int64)
+    beta, theta = np.zeros((2, *model.shape))
+    for number, pomdp in enumerate(pomdps):
+        at, prior = model == number, pomdp.prior.ravel()
+        cell = np.searchsorted(np.cumsum(prior), drawn[at], side="right")
+        h, t = np.divmod(np.minimum(cell, np.flatnonzero(prior)[-1]), len(pomdp.grid.theta))
+        goal[at], mind[at] = pomdp.hidden.goal_of[h], h
+        beta[at], theta[at] = pomdp.hidden.expertise[h], pomdp.grid.theta[t]
+    return goal, mind, beta, theta
+
+
+def drawn_goals(priors: list[Mapping[str, float]], model: Ints, uniform: Floats) -> Ints:
+    """Return the number of each person's goal, drawn from their model's prior by uniform numbers."""
+    below = np.cumsum([list(prior.values()) for prior in priors], axis=1)[model]
+    # rounding must not select a goal of probability 0
+    last = np.array([np.flatnonzero(list(prior.values()))[-1] for prior in priors])[model]
+    return np.minimum((uniform[..., None] >= below).sum(axis=-1), last)

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from ..people.arguments import Seed
 from ..people.decision import Floats
 from ..people.spread import Spread
-from ..person.travel import Travel
 from .episode import Episode
-from .model_group import World
 from .pool import Pool
-from .schedule import Schedule
+from .requested import Conditions
 from .simulate import simulate
 from .state import TeamAction, TeamPolicy, TeamState
 from .trace import Trace, robot_is_at
@@ -51,16 +49,13 @@ def beliefs_of_episode(
     humans: int | Sequence[int],
     episode: int,
     seed: Seed,
-    name: str = "policy",
-    travel: Travel | None = None,
-    presence: Schedule | None = None,
-    world: World = "people",
+    **conditions: Unpack[Conditions],
 ) -> tuple[Episode, list[dict[str, Any]]]:
     """Simulate one episode; return it with the robot's belief about each person before each of their actions.
 
     Parameters
     ----------
-    pool, policy, humans, seed, name, travel, presence, world
+    pool, policy, humans, seed, **conditions
         As in `simulate`. With the same arguments the episode is the same.
     episode : int
         Number of the episode.
@@ -75,10 +70,8 @@ def beliefs_of_episode(
         choose then.
     """
     watched, trace = Watched(policy), Trace()
-    episodes = simulate(
-        pool, watched, humans=humans, episodes=[episode], seed=seed, name=name, travel=travel, presence=presence,
-        world=world, trace=trace,
-    )  # fmt: skip
+    named: Conditions = {"name": "policy", **conditions}
+    episodes = simulate(pool, watched, humans=humans, episodes=[episode], seed=seed, trace=trace, **named)
     found, models = episodes[0], pool.model[episodes.people[0]]
     pomdps = [pool.policies[model].pomdp for model in models]
     rows = []

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..person.pomdp import AssistPOMDP
 
 BLOCK = 64
 """Number of episodes whose random numbers are drawn together; a change of it changes all results for a seed."""
@@ -48,33 +45,3 @@ class CommonRandomNumbers:
         """Return K distinct numbers of a pool for each episode, shape (N, K)."""
         order = [stream.permuted(np.tile(np.arange(pool), (BLOCK, 1)), axis=1) for stream in self.streams(3)]
         return np.stack(order)[self.block, self.row, : self.places]
-
-
-def from_the_prior(
-    pomdps: Sequence[AssistPOMDP], model: NDArray[np.int64], drawn: Floats
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
-    """Draw people in the robot's model, from the prior of their model.
-
-    Parameters
-    ----------
-    pomdps : sequence of AssistPOMDP
-        Problem of each model.
-    model : int array
-        Model of each person.
-    drawn : float array, of the same shape
-        Uniform numbers.
-
-    Returns
-    -------
-    goal, mind, beta, theta : arrays of the same shape
-        Number of the goal, number of the type, and the expertise and theta.
-    """
-    goal, mind = np.zeros((2, *model.shape), dtype=np.int64)
-    beta, theta = np.zeros((2, *model.shape))
-    for number, pomdp in enumerate(pomdps):
-        at, prior = model == number, pomdp.prior.ravel()
-        cell = np.searchsorted(np.cumsum(prior), drawn[at], side="right")
-        h, t = np.divmod(np.minimum(cell, np.flatnonzero(prior)[-1]), len(pomdp.grid.theta))
-        goal[at], mind[at] = pomdp.hidden.goal_of[h], h
-        beta[at], theta[at] = pomdp.hidden.expertise[h], pomdp.grid.theta[t]
-    return goal, mind, beta, theta

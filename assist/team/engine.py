@@ -1,6 +1,6 @@
 """Teams at work, one step at a time, for given actions of their robots.
 
-An `Engine` joins four parts. What each of them holds:
+An `Engine` joins four parts. What each of them holds (`parts` has the forms of the first, and of random numbers):
 
 - `Tasks` are the people's problems: the row of each person in theirs, and how people choose there.
 - `PeopleAtWork` are the people as they are: states, theta, goals, and the random numbers of all that happens.
@@ -20,93 +20,28 @@ A step has this order:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
 from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
-from ..person.beliefs import Beliefs, PersonModel
+from ..person.beliefs import Beliefs
 from ..person.people_arrays import PeopleArrays
-from ..person.policy import Policy
-from ..person.problem_arrays import Acts, ProblemArrays
+from ..person.problem_arrays import Acts
 from ..person.robots import NOTHING_DONE
+from .by_policy import by_model
+from .parts import Draws, Tasks
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent
 from .seen import Saw, let_see
-from .state import BASE, TeamAction, TeamState, by_model
+from .state import BASE, TeamAction, TeamState
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-
-
-class Group(Protocol):
-    """The people of one model, and how they choose."""
-
-    @property
-    def model(self) -> PersonModel:
-        """The robot's model of them."""
-        ...
-
-    @property
-    def arrays(self) -> ProblemArrays:
-        """Their problem."""
-        ...
-
-    def act(self, rows: Ints, people: PeopleArrays) -> None:
-        """Let some people of the group act once."""
-        ...
-
-    def ended(self, rows: Ints, people: PeopleArrays) -> Bools:
-        """Return whether the episode has ended for some people of the group."""
-        ...
-
-
-class Tasks(Protocol):
-    """The people's problems.
-
-    Attributes
-    ----------
-    policies : sequence of Policy
-    groups : mapping of int to Group
-        By the index of the policy.
-    model : int array, shape (N, K)
-        Index of each person's policy.
-    who : int array, shape (N, K)
-        Row of each person in the `Minds` of their group.
-    """
-
-    @property
-    def policies(self) -> Sequence[Policy]: ...  # noqa: D102
-    @property
-    def groups(self) -> Mapping[int, Group]: ...  # noqa: D102
-    @property
-    def model(self) -> Ints: ...  # noqa: D102
-    @property
-    def who(self) -> Ints: ...  # noqa: D102
-
-    def rows(self, places: Ints, active: Ints) -> Ints:
-        """Return the row of each person in their policy's problem, shape (N, K).
-
-        Parameters
-        ----------
-        places : int array, shape (N, K)
-            Where people are, as in `person.rows`.
-        active : int array
-            The people at work, as indices of the flattened array.
-        """
-        ...
-
-
-class Draws(Protocol):
-    """The random numbers of the episodes of teams."""
-
-    def draw(self, kind: int, rows: Ints) -> Floats:
-        """Return uniform numbers of a kind for some teams, shape (m, K); `CommonRandomNumbers.draw` has the kinds."""
-        ...
 
 
 @dataclass(eq=False)

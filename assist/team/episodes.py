@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from planner.system.results import Result
 
 from ..people.decision import Floats
+from ..person.fleet import Fleet
 from ..person.policy import not_worth_its_cost
 from .episode import Episode, episode_of, to_frame
+from .state import TeamPolicy
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -186,6 +188,15 @@ class Summary(Result):
         cut = f", {self.cut_off} of them cut off" if self.cut_off else ""
         why = "" if self.c_suggest_too_high is None else f"; {not_worth_its_cost(self.c_suggest_too_high)}"
         return f"{self.policy}: {', '.join(shown)} ({self.episodes} episode{'s'[: self.episodes > 1]}{cut}){why}"
+
+
+def with_cost(found: Episodes, fleet: Fleet, policy: TeamPolicy) -> Episodes:
+    """Return episodes with the cost of a suggestion, if the policy weighs it and made none."""
+    costs = set(fleet.each("c_suggest").tolist())
+    weighs_costs = getattr(policy, "weighs_costs", False) and len(costs) == 1
+    if not weighs_costs or found.interventions.any() or not found.actions.any():
+        return found
+    return replace(found, c_suggest_too_high=costs.pop())
 
 
 def _mean_and_error(values: NDArray[Any]) -> tuple[float, float]:

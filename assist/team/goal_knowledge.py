@@ -1,4 +1,4 @@
-"""What a robot knows of the goals of people who pursue one of several: it infers them, or knows them."""
+"""What a robot knows of people who begin, and acts on: it infers which of several goals they pursue, or knows it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import Literal
 import numpy as np
 
 from ..people.hidden_type import Floats, HiddenType, Ints
-from ..person.beliefs import Beliefs, Seen
+from ..person.beliefs import Beliefs
+from ..person.hidden_beliefs import Hidden
+from ..person.observation_model import ObservationModel
+from ..person.seen_beliefs import Seen
 
 GoalKnowledge = Literal["inferred", "likeliest", "known"]
 
@@ -37,3 +40,22 @@ def acted_on(beliefs: Beliefs, hidden: HiddenType, knowledge: GoalKnowledge) -> 
     if knowledge != "likeliest" or not len(beliefs.belief):
         return beliefs
     return Seen(beliefs.x, hidden.given_likeliest(beliefs.belief), beliefs.erred)
+
+
+def known_at_first(row: Ints, belief: Floats | None, sight: ObservationModel | None) -> Beliefs:
+    """Return what robots know of people who begin.
+
+    Parameters
+    ----------
+    row : int array, shape (N, K)
+        Row of each person's state, which the robots know at first.
+    belief : float array, shape (N, K, H, T), or None
+        None if no beliefs are kept.
+    sight : ObservationModel or None
+        How reliably the robots see actions; None if they see all of them as they are.
+    """
+    flat = np.empty((0, 1, 1)) if belief is None else belief.reshape(-1, *belief.shape[2:])
+    erred = np.zeros(row.size, dtype=bool)
+    if sight is None:
+        return Seen(row.reshape(-1), flat, erred)
+    return Hidden(row.reshape(-1).copy(), flat, erred, sight)

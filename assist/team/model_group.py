@@ -7,6 +7,7 @@ all people and rows.
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -87,9 +88,9 @@ class ModelGroup:
             self._model = PersonModel.of(self.policy)
         return self._model
 
-    def mind(self, people: Ints, goal: Ints) -> Ints:
-        """Return the row of `Minds` of some people, given by their numbers in the pool, with their goals."""
-        return self.row[people] + goal
+    def mind(self, people: Ints, goal: Ints, mind: Ints) -> Ints:
+        """Return the row of `Minds` of some people, given by their numbers in the pool, with their goals and types."""
+        return self.row[people] + goal if self._of_people else mind
 
     def ended(self, rows: Ints, people: PeopleArrays) -> NDArray[np.bool_]:
         """Return whether the episode has ended for the people of some rows."""
@@ -142,13 +143,31 @@ class ModelGroup:
             self._p[:, rows, slots] = np.moveaxis(pomdp.chosen[rows], 2, 0)
             return
         choices = pomdp.model.choices
-        each = (choices if self._problem.complete else choices.around(rows)).of_each_goal
+        each = (choices if self._problem.complete else _around(choices, rows)).of_each_goal
         for mind in minds.tolist():
             person, goal = divmod(mind, self._goals)
             p, v, q = _mind(self._people[person], each[goal])
             self._p[mind, rows, slots], self._value[mind, rows], self._perceived[mind, rows, slots] = (
                 part[: len(rows)] for part in (p, v, q)
             )
+
+
+def _around(choices: Choices, rows: NDArray[np.int64]) -> Choices:
+    """Return the choices in some rows, shape (N,), which come first; their successors follow without choices."""
+    after = np.unique(choices.targets[rows])
+    every, count = np.concatenate([rows, after]), len(rows)
+    leaf = np.arange(len(every)) >= count
+    targets = np.where(leaf, np.arange(len(every)), 0)[:, None].repeat(choices.targets.shape[1], axis=1)
+    targets[:count] = count + np.searchsorted(after, choices.targets[rows])
+    goals = choices.unknown_goal
+    return replace(
+        choices, h=choices.h[every], goal=choices.goal[every], applicable=choices.applicable[every] & ~leaf[:, None],
+        actions=choices.actions[every], targets=targets, costs=choices.costs[every], optimal=choices.optimal[every],
+        state=None if choices.state is None else choices.state[every], key=choices.keys[every],
+        features=None if choices.features is None else choices.features[every],
+        unknown_goal=None if goals is None else goals.of_rows(every),
+        offered=None if choices.offered is None else choices.offered[every],
+    )  # fmt: skip
 
 
 def _larger(array: NDArray[Any], shape: tuple[int, ...], blank: float) -> NDArray[Any]:

@@ -19,8 +19,9 @@ from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from ..person.travel import Travel
-from .attention import AttentionSwitching, NoAssistance, Reactive
+from .attention import AttentionSwitching
 from .attention_never import AttentionAgainstNever
+from .baselines import NoAssistance, Reactive
 from .outlook import AttentionWithOutlook
 from .policy_names import POLICIES
 from .priority import Priority

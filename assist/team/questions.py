@@ -21,10 +21,11 @@ from ..person.beliefs import Beliefs
 from ..person.joint_belief import JointBelief, expected_answers
 from ..person.policy import OfRows, Policy
 from ..person.qmdp import QMDP, qmdp
+from ..person.settings import Setting
 from ..person.ties import NEAR, first_best
 from .attention_never import without_help
-from .by_policy import ByPolicy
-from .state import by_model, worth_of_actions
+from .by_policy import ByPolicy, by_model
+from .state import worth_of_actions
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,11 @@ class Questions:
     def __init__(self, policies: Sequence[Policy], cost: float, error: float = 0.0) -> None:
         self.policies, self.cost, self.error = policies, cost, error
         self._benefit: ByPolicy[OfRows] = ByPolicy(policies, benefit)
+
+    @classmethod
+    def of(cls, policies: Sequence[Policy], setting: Setting) -> Questions | None:
+        """Return the questions to the people of some policies; None if the robots of the setting do not ask."""
+        return None if setting.c_ask is None else cls(policies, setting.c_ask, setting.ask_error)
 
     def best(
         self, policy: Policy, x: NDArray[np.int64], belief: Floats, attention: Floats

@@ -26,21 +26,22 @@ from numpy.typing import NDArray
 
 from ..people.arguments import number, whole
 from ..people.decision import NOTHING, Floats
-from ..person.beliefs import PersonModel, Seen
+from ..person.beliefs import PersonModel
 from ..person.dynamics import act
 from ..person.people_arrays import Minds, PeopleArrays
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..person.robots import NOTHING_DONE
+from ..person.seen_beliefs import Seen
 from ..person.ties import NEAR, first_best, ranked
 from ..person.time_expansion import AWAY, HERE
 from ..person.travel import Travel
-from .by_policy import ByPolicy
+from .by_policy import ByPolicy, by_model
 from .engine import Engine, PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
 from .seen import Saw
-from .state import BASE, NOBODY, TeamAction, TeamState, by_model
+from .state import BASE, NOBODY, TeamAction, TeamState
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]

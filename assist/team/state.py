@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,6 +25,7 @@ from ..person.fleet import Fleet
 from ..person.policy import Policy
 from ..person.robots import EXECUTION, NOTHING_DONE, SUGGESTION, Robot
 from ..person.travel import Travel
+from .by_policy import by_model
 
 BASE = -1
 """The robot's place before it has gone to a person; also the index of the base in a distance matrix."""
@@ -55,26 +55,6 @@ def worth_of_actions(policy: Policy, x: NDArray[np.int64], belief: Floats) -> Fl
     return policy.q_values(x, belief)
 
 
-def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> list[tuple[int, NDArray[np.int64]]]:
-    """Return each model that occurs among some people, with the indices of its people.
-
-    Parameters
-    ----------
-    model : int array, shape (N,)
-        Model of each person.
-    rows : int array, shape (m,)
-        Indices of the people to consider.
-    models : int
-        Number of models.
-    """
-    if models == 1:  # no sorting is necessary
-        return [(0, rows)] if len(rows) else []
-    own = model[rows]
-    order = own.astype(np.uint16 if models <= 2**16 else np.int64).argsort(kind="stable")  # fast for small numbers
-    ends, grouped = np.bincount(own, minlength=models).cumsum().tolist(), rows[order]
-    return [(number, grouped[at:end]) for number, (at, end) in enumerate(pairwise([0, *ends])) if at < end]
-
-
 @dataclass(frozen=True)
 class TeamState:
     """The robot's knowledge of N teams of K people each, when it chooses its next action.
@@ -99,7 +79,7 @@ class TeamState:
     free : bool array, shape (N, M)
         Which robots are not under way; all, by default.
     fleet : Fleet
-        The robots, whose actions may cost more than in people's problems; by default they are alike.
+        The M robots, whose actions may cost more than in people's problems; one without fields of its own by default.
     neighbours : Neighbourhood
         What people see of each other, as far as the robots know.
     x : int array, shape (N, K)
@@ -130,8 +110,6 @@ class TeamState:
     def __post_init__(self) -> None:
         if self.free.shape != self.location.shape:
             object.__setattr__(self, "free", np.broadcast_to(self.free, self.location.shape))
-        if len(self.fleet) == 1 < self.robots:
-            object.__setattr__(self, "fleet", Fleet(self.fleet.robots * self.robots))
         known, shape = self.beliefs, self.active.shape
         belief = known.belief.reshape(*shape, *known.belief.shape[1:]) if len(known.belief) else None
         given = {name: getattr(self, name) for name in ("active", "location", "model", "free")}
@@ -239,9 +217,9 @@ class TeamState:
         return mean.reshape(self.x.shape)
 
     def _share_of_goals(self, group: int, rows: NDArray[np.int64]) -> Floats:
-        """Return the probability of each goal of some people, shape (m, G), or (G,) for a goal that is known."""
+        """Return the probability of each goal of some people, as `HiddenType.share_of_goals`."""
         hidden = self.policies[group].pomdp.hidden
-        return hidden.marginal(self.known_of(rows)[1], "goal") if len(hidden.goals) > 1 else np.ones(1)
+        return hidden.share_of_goals(lambda: self.known_of(rows)[1])
 
     def to(self) -> Floats:
         """Return the cost of each robot's move to each person from its place, shape (N, M, K), in cost units."""

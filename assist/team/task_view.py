@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..person.policy import Policy
-from .model_group import Ints, ModelGroup, World
-from .pool import Pool
-from .state import by_model
+from .beginning import Beginning
+from .by_policy import by_model
+from .model_group import Ints, ModelGroup
 
 
 class RowsOfPeople:
@@ -49,32 +49,25 @@ class TaskView(RowsOfPeople):
 
     Parameters
     ----------
-    pool : Pool
+    policies : sequence of Policy
     groups : mapping of int to ModelGroup
         The group of each policy that occurs.
-    world : World
-    model, people, mind, goal : int arrays, shape (N, K)
-        Each person's model, their number in the pool, the number of their type in the robot's model, and that of their
-        goal.
+    people : int array, shape (N, K)
+        Each person's number in the pool.
+    began : Beginning
+        How these people begin.
 
     Attributes
     ----------
-    initial : int array, shape (N, K)
-        Place of each person at the beginning.
     who : int array, shape (N, K)
         Row of each person in their group's `Minds`, which has their goal.
     """
 
     def __init__(
-        self, pool: Pool, groups: Mapping[int, ModelGroup], world: World, model: Ints, people: Ints, mind: Ints,
-        goal: Ints,
-    ) -> None:  # fmt: skip
-        super().__init__(pool.policies, model)
-        self.groups, self.goal = groups, goal
-        self.initial = np.array([policy.task.initial for policy in pool.policies])[model]
-        self.who = mind
-        if world == "people":
-            self.who = np.empty_like(model)
-            for number, flat in by_model(model.reshape(-1), np.arange(model.size), len(pool.policies)):
-                own = people.reshape(-1)[flat], goal.reshape(-1)[flat]
-                self.who.reshape(-1)[flat] = groups[number].mind(*own)
+        self, policies: Sequence[Policy], groups: Mapping[int, ModelGroup], people: Ints, began: Beginning
+    ) -> None:
+        super().__init__(policies, began.model)
+        self.groups, self.who = groups, np.empty_like(began.model)
+        for number, flat in by_model(self.model.reshape(-1), np.arange(self.model.size), len(policies)):
+            own = (one.reshape(-1)[flat] for one in (people, began.goal, began.mind))
+            self.who.reshape(-1)[flat] = groups[number].mind(*own)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from conftest import graph_task, invoke, write_instance
 
-from assist.certify.prices import window_of
+from assist.certify.priced_steps import plan_length, window_of
 from assist.people.choices import Choices
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
@@ -47,13 +47,13 @@ def test_priority_is_simulated(dear: int) -> None:
 def test_the_length_of_a_plan_is_its_smallest_number_of_actions() -> None:
     choices = Choices.of(there_and_back(50))
     at = int(np.argmax(choices.h))
-    assert choices.plan_length(at) == 7
+    assert plan_length(choices, at) == 7
     cut = choices.optimal.copy()
     cut[np.argsort(choices.h)[5]] = False  # the choices end two steps later, after a third of the cost
-    assert 5 < replace(choices, optimal=cut).plan_length(at) < 9
+    assert 5 < plan_length(replace(choices, optimal=cut), at) < 9
     free = Choices.of(sweep(graph_task([(1, 2, 0), (2, 1, 0), (2, 3, 4), (3, 0, 0), (1, 4, 1)])))
-    assert free.plan_length(free.initial) == 3
-    assert free.plan_length(int(np.flatnonzero(np.isinf(free.h))[0])) == np.inf
+    assert plan_length(free, free.initial) == 3
+    assert plan_length(free, int(np.flatnonzero(np.isinf(free.h))[0])) == np.inf
 
 
 PACKING = """(define (domain packing)

@@ -230,7 +230,7 @@ def test_ctrl_c_leaves_the_policies_that_were_compared_with_a_bound(
     monkeypatch.setattr("assist.certify.comparison.FIRST_EPISODES", 1)  # one is not enough for a first answer
     own = tmp_path / "own.py"
     own.write_text(
-        "from assist.team.attention import NoAssistance\n\n\ndef stop(team):\n"
+        "from assist.team.baselines import NoAssistance\n\n\ndef stop(team):\n"
         "    if len(team.active) == 1:\n        return NoAssistance()(team)\n    raise KeyboardInterrupt\n"
     )
     command = ("bound", TINY, "--humans", 2, "--gap", 0.2, "--value-episodes", 50)

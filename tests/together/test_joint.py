@@ -18,8 +18,9 @@ from assist.people.decision import Floats
 from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.person.attention_subproblem import AttentionSubproblem
+from assist.person.mdp_values import evaluate
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import evaluate, qmdp
+from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.solver import solve

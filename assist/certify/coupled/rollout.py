@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,13 +97,52 @@ class RolloutPolicy:
         joint, at = np.unique(states, axis=0, return_inverse=True)
         place = joint + agents.kind * agents.shape[2]
         keys = [zlib.crc32(row.tobytes(), options.seed) + (step << 32) for row in joint]
-        found = improved(
-            place, np.array(keys, dtype=np.uint64), step, self.base.gain, self.base.rest, agents.flat[1],
-            self.advantage, agents.P.indptr.astype(np.int64), agents.P.indices.astype(np.int64), agents.P.data,
-            float(self.base.resources), agents.gamma, options.samples, options.horizon, options.alternatives,
-            options.errors,
+        P = agents.P
+        fleet = Fleet(
+            self.base.gain, self.base.rest, agents.flat[1], float(self.base.resources), self.advantage,
+            P.indptr.astype(np.int64), P.indices.astype(np.int64), P.data, agents.gamma,
         )  # fmt: skip
+        effort = Effort(options.samples, options.horizon, options.alternatives, options.errors)
+        found = improved(place, np.array(keys, dtype=np.uint64), step, fleet, effort)
         return found[at.reshape(-1)]
+
+
+class Fleet(NamedTuple):
+    """The agents with their base policy and the bound's values, as compiled code reads them.
+
+    Attributes
+    ----------
+    gain, rest : float and int arrays, shapes (W + 1, A, K * S) and (W + 1, K * S)
+        Gains of actions, and the action without the resource, of the base policy at each step.
+    use : float array, shape (A, K * S)
+        Units of the resource.
+    resources : float
+        Units that there are.
+    advantage : float array
+        As in `RolloutPolicy`.
+    indptr, target, prob : arrays
+        Transition probabilities in compressed rows, one for each pair of an action and a state.
+    gamma : float
+    """
+
+    gain: Floats
+    rest: Ints
+    use: Floats
+    resources: float
+    advantage: Floats
+    indptr: Ints
+    target: Ints
+    prob: Floats
+    gamma: float
+
+
+class Effort(NamedTuple):
+    """Attributes as in `RolloutOptions`."""
+
+    samples: int
+    horizon: int
+    alternatives: int
+    errors: float
 
 
 @njit()
@@ -186,20 +226,17 @@ def _is_new(found: Ints, count: int) -> bool:
 
 
 @njit()
-def improved(
-    places: Ints, keys: NDArray[np.uint64], step: int, gain: Floats, rest: Ints, use: Floats, advantage: Floats,
-    indptr: Ints, target: Ints, prob: Floats, resources: float, gamma: float, samples: int, horizon: int, most: int,
-    errors: float,
-) -> Ints:  # fmt: skip
+def improved(places: Ints, keys: NDArray[np.uint64], step: int, fleet: Fleet, effort: Effort) -> Ints:
     """Return the improved actions at joint states `places`, both of shape (U, N)."""
     U, N = places.shape
-    n = advantage.shape[2]
+    gain, rest, use, advantage, n = fleet.gain, fleet.rest, fleet.use, fleet.advantage, fleet.advantage.shape[2]
+    samples, horizon = effort.samples, effort.horizon
     out = np.empty((U, N), dtype=np.int64)
     nobody, now, action = np.zeros(N, dtype=np.bool_), np.empty(N, dtype=np.int64), np.empty(N, dtype=np.int64)
-    total = np.empty((most + 1, samples))
+    total = np.empty((effort.alternatives + 1, samples))
     for u in range(U):
         at = min(step, len(gain) - 1)
-        options, count = propose(gain[at], use, rest[at], places[u], resources, most)
+        options, count = propose(gain[at], use, rest[at], places[u], fleet.resources, effort.alternatives)
         out[u] = options[0]
         if count == 1:
             continue
@@ -215,23 +252,23 @@ def improved(
                         break
                     for k in range(N):
                         row = action[k] * n + now[k]
-                        begin, end = indptr[row], indptr[row + 1]
+                        begin, end = fleet.indptr[row], fleet.indptr[row + 1]
                         if end - begin > 1:
                             x, j = uniform(keys[u], (r * horizon + h) * N + k), begin
-                            while j < end - 1 and x >= prob[j]:
-                                x -= prob[j]
+                            while j < end - 1 and x >= fleet.prob[j]:
+                                x -= fleet.prob[j]
                                 j += 1
-                            now[k] = target[j]
+                            now[k] = fleet.target[j]
                         else:
-                            now[k] = target[begin]
-                    discount *= gamma
+                            now[k] = fleet.target[begin]
+                    discount *= fleet.gamma
                     after = min(step + h + 1, len(gain) - 1)
-                    serve(gain[after], use, rest[after], now, resources, nobody, action)
+                    serve(gain[after], use, rest[after], now, fleet.resources, nobody, action)
                 total[c, r] = value
         best = 0.0
         for c in range(1, count):
             more = total[c] - total[0]
-            if more.mean() > max(best, errors * more.std() / np.sqrt(samples)):
+            if more.mean() > max(best, effort.errors * more.std() / np.sqrt(samples)):
                 best = more.mean()
                 out[u] = options[c]
     return out

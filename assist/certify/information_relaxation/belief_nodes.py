@@ -63,6 +63,26 @@ class Known(NamedTuple):
     state: Ints
 
 
+class Relaxed(NamedTuple):
+    """The relaxed problem, from which the edges of nodes follow.
+
+    Attributes
+    ----------
+    known : Known
+    m : ProblemArrays
+        The subproblem.
+    order : int array, shape (n, A)
+        Choices in each state, those that lead to a low cost-to-go first.
+    attended : bool array, shape (n, R)
+        Which robot actions take the robot's attention.
+    """
+
+    known: Known
+    m: ProblemArrays
+    order: Ints
+    attended: NDArray[np.bool_]
+
+
 class NodeTable(NamedTuple):
     """The computed edges of nodes, one for each robot action.
 
@@ -122,7 +142,7 @@ class BeliefNodes:
     Attributes
     ----------
     visits : AttentionSubproblem
-    known : Known
+    relaxed : Relaxed
     nodes : NodeTable
     root : int array, shape (r,); chance : float array, shape (r,)
         The nodes whose mixture is the prior, with their weights.
@@ -135,14 +155,15 @@ class BeliefNodes:
             visits, solution = outer.visits, _embedded(visits, solution, outer)
         pomdp, choices = visits.pomdp, visits.pomdp.model.choices
         size, states = pomdp.prior.size, len(pomdp.robot_actions)
-        self.visits, self.arrays, self.attended = visits, ProblemArrays.of(pomdp), visits.attended()
+        self.visits = visits
         self.known = Known(
             np.ascontiguousarray(solution.corner).reshape(states, size),
             np.ascontiguousarray(solution.point).reshape(-1, size), solution.drop, solution.first,
             np.repeat(np.arange(states), np.diff(solution.first)),
         )  # fmt: skip
         q = np.where(choices.applicable, choices.costs + pomdp.gamma * choices.h[choices.targets], np.inf)
-        self.order = np.argsort(q, axis=1, kind="stable")
+        order = np.argsort(q, axis=1, kind="stable")
+        self.relaxed = Relaxed(self.known, ProblemArrays.of(pomdp), order, visits.attended())
         count = len(solution.drop) + states * size
         self.nodes = NodeTable(
             np.full(count, -1), np.empty(1 << 12), np.zeros((1 << 12) + 1, dtype=np.int64), np.empty(1 << 16),
@@ -168,7 +189,7 @@ class BeliefNodes:
             self._stamps += 1
             found = _unfold(
                 int(self.root[min(start, len(self.root) - 1)]), uniforms[1:], graph, self._stamp,
-                self._stamps * (1 << 32), self.nodes, self.known, self.arrays, self.order, self.attended,
+                self._stamps * (1 << 32), self.nodes, self.relaxed,
             )  # fmt: skip
             if found > 0:
                 n = graph.layer[found]
@@ -251,10 +272,11 @@ def decompose(belief: Floats, x: int, known: Known, part: Floats, node: Ints) ->
 
 
 @njit()
-def expand_node(node: int, nodes: NodeTable, known: Known, m: ProblemArrays, order: Ints) -> bool:
+def expand_node(node: int, nodes: NodeTable, relaxed: Relaxed) -> bool:
     """Compute the edges of a node, unless they are known; return whether the capacity was sufficient."""
     if nodes.first[node] >= 0:
         return True
+    known, m, order = relaxed.known, relaxed.m, relaxed.order
     points, size, x = len(known.drop), known.corner.shape[1], state_of(node, known)
     e, k = nodes.used[0], nodes.used[1]
     robots = m.robot_actions[x]
@@ -321,21 +343,20 @@ def outcome(edge: int, uniforms: float, nodes: NodeTable) -> int:
 
 @njit(nogil=True)
 def _unfold(
-    root: int, uniforms: Floats, graph: SampleGraph, stamp: Ints, mark: int, nodes: NodeTable, known: Known,
-    m: ProblemArrays, order: Ints,
-    attended: NDArray[np.bool_],
-) -> int:  # fmt: skip
+    root: int, uniforms: Floats, graph: SampleGraph, stamp: Ints, mark: int, nodes: NodeTable, relaxed: Relaxed
+) -> int:
     """Fill a sample graph; return the number of its layers.
 
     Return `FULL` if the node table lacks capacity, or 0 if the graph does.
     """
+    known, m = relaxed.known, relaxed.m
     graph.node[0], graph.layer[1] = root, 1
     n, e, discount = 1, 0, 1.0
     for t in range(len(uniforms)):
         for j in range(graph.layer[t], graph.layer[t + 1]):
             graph.edge[j] = e
             node = graph.node[j]
-            if not expand_node(node, nodes, known, m, order):
+            if not expand_node(node, nodes, relaxed):
                 return FULL
             x = state_of(node, known)
             if max(e, n) + m.robot_actions[x] >= len(graph.to):
@@ -350,7 +371,7 @@ def _unfold(
                         graph.node[n] = to
                         n += 1
                     graph.to[e] = stamp[to] - mark
-                graph.cost[e], graph.attends[e] = discount * nodes.regret[nodes.first[node] + r], attended[x, r]
+                graph.cost[e], graph.attends[e] = discount * nodes.regret[nodes.first[node] + r], relaxed.attended[x, r]
                 e += 1
         graph.edge[graph.layer[t + 1]] = e
         graph.layer[t + 2] = n

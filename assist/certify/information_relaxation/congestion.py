@@ -39,8 +39,7 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ...people.decision import Floats
-from ...person.problem_arrays import ProblemArrays
-from .belief_nodes import LEFT, BeliefNodes, Ints, Known, NodeTable, SampleGraph, expand_node, state_of
+from .belief_nodes import LEFT, BeliefNodes, Ints, NodeTable, Relaxed, SampleGraph, expand_node, state_of
 from .options import RelaxationOptions
 
 COMPILED_FOR = "bounds from sample paths: about twenty seconds"
@@ -184,9 +183,8 @@ class Congestion:
             np.zeros(len(graph.to)),
         )  # fmt: skip
         while not _fill_demand(
-            graph, demand, self.rows, self.scale, self.price, self.belief_nodes.attended, self.belief_nodes.nodes,
-            self.belief_nodes.known, self.belief_nodes.arrays, self.belief_nodes.order,
-        ):  # fmt: skip
+            graph, demand, self.rows, self.scale, self.price, self.belief_nodes.nodes, self.belief_nodes.relaxed
+        ):
             self._resume()
         return demand
 
@@ -194,8 +192,8 @@ class Congestion:
         """Return the mean row at the beginning, shape (A * (L + 2),)."""
         for node in self.belief_nodes.root.tolist():
             while not _row(
-                node, len(self.scale.weight), self.rows, self.scale, self.price, self.belief_nodes.attended,
-                self.belief_nodes.nodes, self.belief_nodes.known, self.belief_nodes.arrays, self.belief_nodes.order,
+                node, len(self.scale.weight), self.rows, self.scale, self.price, self.belief_nodes.nodes,
+                self.belief_nodes.relaxed,
             ):  # fmt: skip
                 self._resume()
         return np.asarray(self.belief_nodes.chance @ self.rows.row[self.rows.of[self.belief_nodes.root]])
@@ -240,13 +238,9 @@ def _mean_after(edge: int, end: int, out: Floats, rows: Rows, nodes: NodeTable) 
 
 
 @njit(nogil=True)
-def _row(
-    node: int, depth: int, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_],
-    nodes: NodeTable,
-    known: Known, m: ProblemArrays, order: Ints,
-) -> bool:  # fmt: skip
+def _row(node: int, depth: int, rows: Rows, scale: Scale, price: Floats, nodes: NodeTable, relaxed: Relaxed) -> bool:
     """Compute the first `depth` blocks of a node's row, and the rows of later nodes that this needs; return success."""
-    levels = len(scale.width)
+    levels, m, attended = len(scale.width), relaxed.m, relaxed.attended
     size = levels + 2
     stack, depths = [node], [depth]
     while len(stack):
@@ -255,9 +249,9 @@ def _row(
             stack.pop()
             depths.pop()
             continue
-        if not expand_node(n, nodes, known, m, order):
+        if not expand_node(n, nodes, relaxed):
             return False
-        x = state_of(n, known)
+        x = state_of(n, relaxed.known)
         e, robots = nodes.first[n], m.robot_actions[x]
         best = e
         for r in range(e + 1, e + robots):
@@ -295,9 +289,8 @@ def _row(
 
 @njit(nogil=True)
 def _fill_demand(
-    graph: SampleGraph, demand: AttentionDemand, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_],
-    nodes: NodeTable,
-    known: Known, m: ProblemArrays, order: Ints,
+    graph: SampleGraph, demand: AttentionDemand, rows: Rows, scale: Scale, price: Floats, nodes: NodeTable,
+    relaxed: Relaxed,
 ) -> bool:  # fmt: skip
     """Fill in the rows of a graph; return success."""
     levels, steps, ahead = len(scale.width), len(scale.price), len(scale.weight)
@@ -306,7 +299,7 @@ def _fill_demand(
         depth, next_depth = min(ahead, steps - t), min(ahead, steps - t - 1)
         for j in range(graph.layer[t], graph.layer[t + 1]):
             node = graph.node[j]
-            if not _row(node, depth, rows, scale, price, attended, nodes, known, m, order):
+            if not _row(node, depth, rows, scale, price, nodes, relaxed):
                 return False
             demand.of[j] = rows.of[node]
             first = nodes.first[node]
@@ -314,9 +307,7 @@ def _fill_demand(
             for e in range(graph.edge[j], graph.edge[j + 1]):
                 number = first + e - graph.edge[j]
                 for k in range(nodes.begin[number], nodes.begin[number + 1]):
-                    if nodes.to[k] >= 0 and not _row(
-                        nodes.to[k], next_depth, rows, scale, price, attended, nodes, known, m, order
-                    ):
+                    if nodes.to[k] >= 0 and not _row(nodes.to[k], next_depth, rows, scale, price, nodes, relaxed):
                         return False
                 _mean_after(number, next_depth * size, demand.mean[e], rows, nodes)
                 if nodes.regret[number] < least:

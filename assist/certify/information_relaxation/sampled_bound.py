@@ -202,7 +202,7 @@ class InformationRelaxation:
     ) -> None:  # fmt: skip
         self.left, self.done, self.workers, self.latest = left, 0, workers, 0.0
         self.options = options = options or RelaxationOptions()
-        gamma = belief_nodes[0].arrays.gamma
+        gamma = belief_nodes[0].relaxed.m.gamma
         tasks = [one.visits.alone.model.choices for one in belief_nodes]
         unit = min(task.unit for task in tasks)
         self.steps = max(steps, len(price) + options.free_steps)

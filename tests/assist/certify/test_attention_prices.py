@@ -14,7 +14,8 @@ from test_attention_subproblem import values
 from test_goal_bounds import ring
 
 from assist.certify import prices
-from assist.certify.prices import SubproblemKind, kinds_of, window_of
+from assist.certify.priced_steps import window_of
+from assist.certify.prices import SubproblemKind, kinds_of
 from assist.people.choices import Choices
 from assist.people.ranges import Population
 from assist.person.attention_subproblem import AttentionSubproblem

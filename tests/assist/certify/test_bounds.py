@@ -19,7 +19,8 @@ from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.people.choices import Choices
 from assist.person.attention_subproblem import AttentionSubproblem
-from assist.person.qmdp import evaluate, qmdp
+from assist.person.mdp_values import evaluate
+from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.person.time_expansion import AWAY, HERE

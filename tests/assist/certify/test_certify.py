@@ -33,7 +33,7 @@ from assist.person.robots import OfRobots, Robot
 from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.person.time_expansion import AWAY, HERE, TimeExpansion
-from assist.team.attention import NoAssistance
+from assist.team.baselines import NoAssistance
 from assist.team.pool import Pool
 from assist.team.state import TeamAction, TeamState
 from planner import LimitError, sweep

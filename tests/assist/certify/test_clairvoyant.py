@@ -365,7 +365,7 @@ def test_sampled_bounds_of_truncated_tasks_are_not_below_what_priority_gets(cost
 def test_prices_are_paid_in_steps_whose_conflicts_do_not_count(short_sighted: InformationRelaxation) -> None:
     """Each person's bound is at these prices, so the team's bound is their sum plus the sum of the prices."""
     lattices = [person.belief_nodes for person in short_sighted.people]
-    gamma = lattices[0].arrays.gamma
+    gamma = lattices[0].relaxed.m.gamma
     paid = sum(gamma**step * price for step, price in enumerate((0.3, 0.35, 0.3)))
     assert short_sighted.value == pytest.approx(paid + sum(lattice.value for lattice in lattices), abs=1e-12)
 

@@ -17,11 +17,12 @@ from crosscheck import EASY
 from graphs import graph_task
 
 from assist.certify import TeamBound, upper_bound
+from assist.certify.each_goal import given_goals
 from assist.certify.relaxed_value import relaxed_value
 from assist.people import Goals, HumanModel, Population
 from assist.people.trust_rules import outcome
 from assist.person import AssistPOMDP, Setting, Solution, qmdp, solve
-from assist.person.qmdp import evaluate
+from assist.person.mdp_values import evaluate
 from assist.person.robots import OfRobots
 from assist.team import Pool, simulate
 from planner import sweep_goals
@@ -85,7 +86,7 @@ def test_the_bound_of_one_person_is_the_mean_value_with_known_goals(suggestions:
     problem = AssistPOMDP.of(model, population=people, robot=OfRobots(c_suggest=0.01), **options)
     low, high = exact(problem, 3)
     assert high - low < 0.01
-    known = np.array([share * np.array(exact(one, 3)) for share, one in problem.given_goals()]).sum(axis=0)
+    known = np.array([share * np.array(exact(one, 3)) for share, one in given_goals(problem)]).sum(axis=0)
     assert known[0] <= found.upper + 1e-9
     assert found.upper - found.slack <= known[1] + 1e-9
     assert found.upper - found.slack > high
@@ -213,7 +214,7 @@ def test_values_of_the_solution_are_those_of_a_plain_look_ahead() -> None:
 
 def test_with_certainty_the_solution_is_that_of_the_goal() -> None:
     goals = ring((0.0, 1.0, 0.0))
-    ((_, known),) = problem(goals).given_goals()
+    ((_, known),) = given_goals(problem(goals))
     known, unknown = (solve(one, gap=1e-6) for one in (known, problem(goals)))
     assert unknown.lower == pytest.approx(known.lower, rel=3e-6)
     assert unknown.upper == pytest.approx(known.upper, rel=3e-6)

@@ -25,8 +25,9 @@ from assist.people.human import HumanModel
 from assist.people.memory import remembered
 from assist.person.assumptions import Assumptions
 from assist.person.closed_problem import closed_problem
+from assist.person.mdp_values import evaluate
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import evaluate, qmdp
+from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.truncated_task import TruncatedTask
 from planner import Instance, Table, load, sweep

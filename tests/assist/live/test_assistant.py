@@ -25,9 +25,9 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
 from assist.team.belief_trace import Watched
+from assist.team.by_policy import by_model
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
-from assist.team.state import by_model
 from planner import CostToGo, OnDemand, Table, cost_to_go, load
 
 WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"

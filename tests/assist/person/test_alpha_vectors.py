@@ -13,8 +13,9 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import HumanModel
 from assist.person.alpha_vectors import VectorPolicy
+from assist.person.mdp_values import evaluate
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import evaluate, qmdp
+from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from planner import Instance
 

@@ -20,8 +20,9 @@ from assist.people.ranges import Population
 from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, TruncatedTask
 from assist.person.assumptions import Assumptions
 from assist.person.closed_problem import closed_problem
+from assist.person.mdp_values import evaluate
 from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
-from assist.person.qmdp import QMDP, evaluate, qmdp
+from assist.person.qmdp import QMDP, qmdp
 from assist.person.solver import solve
 from assist.person.truncated_policy import TruncatedPolicy, default_size
 from assist.team import Pool, simulate
@@ -93,7 +94,7 @@ def test_a_solver_of_ones_own_acts_for_people_with_several_goals(monkeypatch: py
     goals, rng = TASKS["tiny"], np.random.default_rng(4)
     sample = partial(Pool.sample, goals, 2, seed=1, setting=Setting(c_suggest=0.05), solver=by_halves)
     whole = sample().policies[0]
-    monkeypatch.setattr("assist.team.pool.MAX_ENUMERATED", 1)
+    monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 1)
     part = sample(region=EVERYTHING).policies[0]
     x = np.arange(len(goals.tables["a"]))
     belief = rng.dirichlet(np.ones(whole.pomdp.prior.size), len(x)).reshape(-1, *whole.pomdp.prior.shape)
@@ -243,7 +244,7 @@ def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.Monk
     """Questions about goals are worth as much, and so is help against none."""
     goals, setting = TASKS["sealed"], Setting(c_suggest=0.2, c_move=0.1, c_ask=0.05, ask_error=0.1, max_steps=60)
     whole = Pool.sample(goals, 3, seed=1, setting=setting)
-    monkeypatch.setattr("assist.team.pool.MAX_ENUMERATED", 5)
+    monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 5)
     parts = [Pool.sample(goals, 3, seed=1, setting=setting, states=1, region=region) for region in (EVERYTHING, 20)]
     assert all(isinstance(part.policies[0], TruncatedPolicy) for part in parts)
     found = [simulate(pool, policy, **OPTIONS) for pool in (whole, *parts)]

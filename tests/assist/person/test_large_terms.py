@@ -35,7 +35,7 @@ def pools(table: Table, monkeypatch: pytest.MonkeyPatch, **options: Any) -> tupl
     sample = {"seed": 1, "population": HABITS, **options}
     whole = Pool.sample(table, 3, **sample)
     with monkeypatch.context() as within:
-        within.setattr("assist.team.pool.MAX_ENUMERATED", 1)
+        within.setattr("assist.team.solving.MAX_ENUMERATED", 1)
         return whole, Pool.sample(table, 3, **{"region": EVERYTHING, **sample})
 
 
@@ -157,6 +157,6 @@ def test_a_live_robot_knows_the_habits_of_people_at_a_large_task(tiny: Table, mo
 
 
 def test_who_executes_meets_people_without_memory(monkeypatch: pytest.MonkeyPatch, tiny: Table) -> None:
-    monkeypatch.setattr("assist.team.pool.MAX_ENUMERATED", 1)
+    monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 1)
     with pytest.raises(ValueError, match="execute: expected people without memory"):
         Pool.sample(tiny, 2, seed=1, population=HABITS, setting=Setting(execute=True))

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from assist.people.belief import ImpossibleObservationError
 from assist.people.type_kernels import exclude_reached, is_mistake
 from assist.person.belief_filter import update, update_seen
-from assist.person.belief_update import mistaken, updated, without_reached
-from assist.person.beliefs import update_readable
+from assist.person.belief_update import mistaken, update_readable, updated, without_reached
 from assist.person.dynamics import act_readable
 from assist.person.dynamics_kernel import act_compiled
 from assist.person.people_arrays import Minds, PeopleArrays

@@ -20,9 +20,10 @@ from assist.people.decision import choice, influence, lapse, perceived_value, tr
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.ranges import Population
+from assist.person.mdp_values import evaluate
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import evaluate, qmdp
+from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.search import Search, SolverOptions, relative_gap
 from assist.person.solver import Solution, result_of, solve

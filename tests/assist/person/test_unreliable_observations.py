@@ -17,12 +17,13 @@ from assist.people import Grid, HumanModel, ImpossibleObservationError
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.person import AssistPOMDP, JointBelief, ObservationModel, Setting, qmdp
-from assist.person.beliefs import PersonModel, Seen
+from assist.person.beliefs import PersonModel
 from assist.person.evidence import Evidence
 from assist.person.hidden_beliefs import Hidden
 from assist.person.joint_belief import expected_answers, said_in
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.problem_arrays import Acts
+from assist.person.seen_beliefs import Seen
 from assist.team import Episodes, Pool, simulate
 from assist.team.state import worth_of_actions
 

@@ -126,7 +126,7 @@ def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge
     )
     table, rng = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl")), Random(1)
     whole = Pool.sample(table, 3, seed=1, setting=setting)
-    monkeypatch.setattr("assist.team.pool.MAX_ENUMERATED", 1)
+    monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 1)
     monkeypatch.setattr(truncated_policy, "ROWS", 300)
     part = Pool.sample(table, 3, seed=1, setting=setting, region=EVERYTHING)
     one, other = whole.policies[0], part.policies[0]

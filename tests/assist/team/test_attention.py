@@ -11,14 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from assist.people.choices import Choices
-from assist.person.beliefs import Seen
+from assist.person.fleet import Fleet
+from assist.person.mdp_values import evaluate
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import QMDP, evaluate, qmdp
+from assist.person.qmdp import QMDP, qmdp
+from assist.person.robots import Robot
+from assist.person.seen_beliefs import Seen
 from assist.person.settings import Setting
 from assist.person.travel import Travel
-from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
+from assist.team.attention import AttentionSwitching
 from assist.team.attention_never import AttentionAgainstNever
+from assist.team.baselines import NoAssistance, Reactive
 from assist.team.by_policy import ByPolicy
 from assist.team.pool import Pool
 from assist.team.state import BASE, NOBODY, TeamAction, TeamState
@@ -45,7 +49,8 @@ def random_state(pool: Pool, seed: int, robots: int, *, equally_far: bool, trave
     location = np.array([rng.choice([BASE, *range(PEOPLE)], robots, replace=False) for _ in range(TEAMS)])
     active = ~choices.goal[x] & (rng.random(x.shape) < 0.8)
     known = Seen(x.ravel(), belief, rng.random(x.size) < 0.6)
-    return TeamState(0, active, location, model, known, pool.policies, travel)
+    alike = Fleet.of((Robot(),) * robots)
+    return TeamState(0, active, location, model, known, pool.policies, travel, fleet=alike)
 
 
 def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, robot: np.ndarray) -> None:

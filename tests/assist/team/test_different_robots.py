@@ -30,9 +30,10 @@ from assist.people.choices import Choices
 from assist.people.decision import NOTHING
 from assist.people.ranges import Population
 from assist.people.user_code import UserCodeError
-from assist.person.beliefs import Seen
+from assist.person.fleet import Fleet
 from assist.person.qmdp import qmdp
 from assist.person.robots import Robot
+from assist.person.seen_beliefs import Seen
 from assist.person.settings import Setting
 from assist.person.travel import Travel
 from assist.studies.protocol import read
@@ -154,7 +155,9 @@ def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.n
     travel, location, free, worth = found
     nobody = np.zeros((1, 3), dtype=np.int64)
     known = Seen(nobody[0], np.empty((0, 1, 1)), nobody[0] > 0)
-    team = TeamState(0, nobody == 0, location, nobody, known, [], travel, free=free)
+    team = TeamState(
+        0, nobody == 0, location, nobody, known, [], travel, free=free, fleet=Fleet.of((Robot(),) * worth.shape[1])
+    )
     net = worth - team.to()
     person = assigned(team, net)
     check(team, TeamAction(person, np.zeros_like(person)))

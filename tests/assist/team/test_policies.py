@@ -10,11 +10,13 @@ import pytest
 from teams import equal, reachable, run, state
 
 from assist.people.choices import Choices
-from assist.person.qmdp import evaluate, qmdp
+from assist.person.mdp_values import evaluate
+from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
 from assist.person.travel import Travel
-from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
+from assist.team.attention import AttentionSwitching
 from assist.team.attention_never import AttentionAgainstNever
+from assist.team.baselines import NoAssistance, Reactive
 from assist.team.by_policy import ByPolicy
 from assist.team.pool import Pool
 from assist.team.priority import Priority

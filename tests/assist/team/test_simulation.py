@@ -18,7 +18,7 @@ from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import HumanModel
 from assist.people.ranges import Population
-from assist.person.beliefs import PersonModel, Seen
+from assist.person.beliefs import PersonModel
 from assist.person.dynamics import act
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.people_arrays import Minds, PeopleArrays
@@ -26,9 +26,11 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import Acts
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
+from assist.person.seen_beliefs import Seen
 from assist.person.settings import Setting
 from assist.person.travel import Travel
-from assist.team.attention import AttentionSwitching, NoAssistance
+from assist.team.attention import AttentionSwitching
+from assist.team.baselines import NoAssistance
 from assist.team.common_random_numbers import BLOCK
 from assist.team.episode import plain_summary
 from assist.team.episodes import Episodes

@@ -23,7 +23,8 @@ from assist.people.neighbourhood import Neighbourhood
 from assist.people.neighbours import Neighbours
 from assist.people.ranges import Population
 from assist.person.settings import Setting
-from assist.team.attention import AttentionSwitching, NoAssistance
+from assist.team.attention import AttentionSwitching
+from assist.team.baselines import NoAssistance
 from assist.team.belief_trace import beliefs_of_episode
 from assist.team.pool import Pool
 from assist.team.simulate import simulate

@@ -1,0 +1,46 @@
+"""People whose goals are unknown: their problem for each goal, as if it were known.
+
+The bound on a team is the mean over their goals, as if these were known. If person k pursues goal g with probability
+p_k(g), the claim of `certify.team_bound` holds with sum_g p_k(g) V_kg(lambda) in place of V_k(lambda), where V_kg is
+the optimal value of their subproblem if the goal is known to be g.
+
+Proof. A robot that knows all goals from the beginning can ignore them, so that no policy is better than its optimum.
+For each vector of goals the claim bounds this optimum. Its mean over the goals is as stated, since prices do not depend
+on goals and the sum over people is linear; goals of different people may depend on each other. The robot actions of
+V_kg are those with the unknown goal: steps that are optimal for any goal may be suggested. V_kg ends when the goal is
+reached, where a robot that does not see this could only pay for more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..people.decision import NOTHING
+from ..people.hidden_type import KNOWN
+from ..person.pomdp import AssistPOMDP
+
+
+def given_goals(pomdp: AssistPOMDP) -> list[tuple[float, AssistPOMDP]]:
+    """Return each possible goal's prior probability, and the problem of a person of whom that goal is known.
+
+    The robot actions are those of this problem, so that some suggestions may be useless to that person.
+    """
+    goals, found = pomdp.model.choices.goals, list[tuple[float, AssistPOMDP]]()
+    for g, ((choices, q), share) in enumerate(zip(pomdp.model.of_each_goal, goals.prior.values(), strict=True)):
+        if share == 0:
+            continue
+        own, of, followed, by = pomdp.hidden.goal_of == g, slice(g, g + 1), pomdp.followed_low, pomdp.followed_weight
+        found.append((share, replace(
+            pomdp, model=replace(pomdp.model, choices=choices, q=q),
+            hidden=replace(pomdp.hidden, goals={KNOWN: 1.0}, assume_likeliest=False, sharpness=1.0),
+            prior=pomdp.prior[own] / share, chosen=pomdp.chosen[:, :, own], unsuggested=pomdp.unsuggested[:, :, own],
+            low=pomdp.low[:, :, of], weight=pomdp.weight[:, :, of],
+            robot_actions=np.where(choices.goal, 1, pomdp.robot_actions),
+            suggested=np.where(choices.goal[:, None], NOTHING, pomdp.suggested),
+            followed_low=None if followed is None else followed[:, :, of],
+            followed_weight=None if by is None else by[:, :, of],
+            order=None if pomdp.order is None else pomdp.order[of],
+        )))  # fmt: skip
+    return found

@@ -1,0 +1,48 @@
+"""What a robot can do for a person in each state: nothing, suggestions, and executions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.choices import Choices
+from ..people.decision import NOTHING, Floats
+from .robots import OfRobots, Suggestions
+
+
+class RobotActions(NamedTuple):
+    """The robot actions of each state; attributes as in `AssistPOMDP`."""
+
+    number: NDArray[np.int64]
+    suggested: NDArray[np.int64]
+    afterstate: NDArray[np.int64]
+    costs: Floats
+
+    @classmethod
+    def of(
+        cls, choices: Choices, suggestions: Suggestions, robot: OfRobots, leaves: NDArray[np.int64] | None
+    ) -> RobotActions:
+        """Number the robot actions of each state: nothing, the suggestions, and the executions if it executes."""
+        nothing, suggestion, execution = robot.costs
+        best = choices.optimal if choices.offered is None else choices.offered
+        offered = best if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
+        offered = offered & ~choices.goal[:, None]
+        count = offered.sum(axis=1)
+        robot_actions = 1 + count * (1 + robot.execute)
+        shape = (len(choices), int(robot_actions.max(initial=1)))
+        suggested = np.full(shape, NOTHING, dtype=np.int64)
+        afterstate = np.repeat(np.arange(len(choices))[:, None], shape[1], axis=1)
+        costs = np.zeros(shape)
+        costs[~choices.goal, 0] = nothing
+        state, slot = np.nonzero(offered)
+        column = np.cumsum(offered, axis=1)[state, slot]
+        suggested[state, column] = slot
+        costs[state, column] = suggestion
+        if robot.execute:
+            there = choices.targets[state, slot]
+            known = np.ones(len(there), dtype=bool) if leaves is None else ~np.isin(there, leaves)
+            afterstate[state, column + count[state]] = np.where(known, there, state)
+            costs[state, column + count[state]] = execution
+        return cls(robot_actions, suggested, afterstate, costs)

@@ -1,0 +1,106 @@
+"""Beliefs in people whose task states are known, as dense arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.system.compiling import ReadableFirst
+
+from ..people.belief import ImpossibleObservationError, moved
+from ..people.decision import Floats
+from .belief_filter import update_seen
+from .belief_update import update_readable
+from .beliefs import Ask, Groups, PersonModel
+from .joint_belief import JointBelief
+from .policy import Policy
+from .pomdp import AssistPOMDP
+from .problem_arrays import Acts
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class Seen:
+    """Beliefs in people whose task states are known.
+
+    Parameters
+    ----------
+    x : int array, shape (P,)
+        The states. The array is kept, and `observe` does not change it: in a simulation it is the array of people's
+        rows, in which `dynamics.act` has moved them before.
+    belief : float array, shape (P, H, T)
+        The beliefs, which are kept likewise; without rows for a robot that has none.
+    erred : bool array, shape (P,)
+    """
+
+    sees_states: bool = True
+
+    def __init__(self, x: Ints, belief: Floats, erred: Bools) -> None:
+        self.x, self.belief, self.erred = x, belief, erred
+
+    def observe(self, acts: Acts, said: Ints, groups: Groups, draw: Callable[[int], Floats]) -> None:
+        """Update the beliefs, as in `Beliefs`."""
+        del said, draw
+        for model, rows in groups:
+            self.update(rows, acts.of(rows), model)
+
+    def update(self, rows: Ints, acts: Acts, model: PersonModel) -> None:
+        """Update the beliefs by actions that were seen, as in `Beliefs`."""
+        _update(rows, acts, self.belief, self.erred, model.optimal, model.possible, model.arrays)
+
+    def moved(self, rows: Ints, low: Ints, weight: Floats) -> None:
+        """Move theta of some people, as in `Beliefs`."""
+        if len(self.belief):
+            self.belief[rows] = moved(self.belief[rows], low, weight)
+
+    def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
+        """Update a belief by an answer, as in `Beliefs`."""
+        del policy
+        joint = self.belief[person] * likelihood
+        total = joint.sum()
+        if not total > 0:
+            raise ImpossibleObservationError("the answer is impossible; expected an error rate above 0")
+        self.belief[person] = joint / total
+
+    def expected(self, ask: Ask, policy: Policy, rows: Ints) -> Floats:
+        """Return the answers about some people, as in `Beliefs`."""
+        if not len(self.belief):
+            raise ValueError("the policy has said that it uses no beliefs")
+        if len(rows) == len(self.x):  # all of them, so that nothing needs to be copied
+            return ask(policy, self.x, self.belief)
+        return ask(policy, self.x[rows], self.belief.take(rows, axis=0))  # faster than by an index
+
+    def finished(self, person: int, policy: Policy) -> float:
+        """Return the probability that a person has reached their goal, as in `Beliefs`."""
+        reached = policy.arrays.goal[:, self.x[person]]
+        return float(reached[0]) if reached.all() == reached.any() else self.joint(person, policy).finished(policy)
+
+    def heard(self, robot: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
+        """Return what people hear, as in `Beliefs`: the very actions."""
+        del x, groups
+        return robot
+
+    def joint(self, person: int, policy: Policy) -> JointBelief:
+        """Return the belief in a person over places and types, as in `Beliefs`."""
+        return JointBelief.at(int(policy.places(self.x[person : person + 1])[0]), self.belief[person])
+
+    @property
+    def pruned(self) -> Floats:
+        """The probability of states that were left out: none, shape (P,)."""
+        return np.zeros(len(self.x))
+
+    def of(self, people: Ints) -> Seen:
+        """Return the beliefs in some people, as in `Beliefs`."""
+        belief = self.belief.take(people, axis=0) if len(self.belief) else self.belief
+        return Seen(self.x[people], belief, self.erred[people])
+
+
+def _work(rows: Ints, _acts: Acts, belief: Floats, *_: object) -> float:
+    """Return the work of `update_readable`, in nanoseconds."""
+    return 60_000 + len(rows) * 20 * (belief[0].size if len(belief) else 1)
+
+
+_update = ReadableFirst(update_readable, update_seen, _work)

@@ -1,0 +1,129 @@
+"""The problems of people at a task, each solved on first use: whole tasks, or truncated ones of large tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeAlias, TypedDict, Unpack
+
+import numpy as np
+
+from planner import CostToGo
+from planner.system.limits import Deadline
+from planner.system.progress import Progress, adding
+
+from ..people.arguments import require_goal, require_options, whole
+from ..people.choices import Choices
+from ..people.goals import Goals, costs_to_go, each_of, first_of
+from ..people.human import Human
+from ..people.memory_on_demand import Remembering
+from ..people.ranges import Population
+from ..person.assumptions import Assumptions
+from ..person.lazy_policy import LazyPolicy
+from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
+from ..person.person_problem import WHOLE, is_whole
+from ..person.policy import Policy
+from ..person.pomdp import AssistPOMDP
+from ..person.qmdp import qmdp
+from ..person.settings import Setting
+from ..person.truncated_policy import SharedTask, TruncatedPolicy, default_size
+from .affordable import affordable_choices, require_room_for_people
+from .drawn import Drawn
+
+if TYPE_CHECKING:
+    from planner import AnyTask
+
+AnyTable: TypeAlias = "CostToGo | Choices | Goals | AnyTask"
+"""A cost-to-go, choices, several goals, or whatever `planner.load` takes."""
+
+MAX_ENUMERATED = 200_000
+"""Largest number of states of a task that is enumerated because a requested option requires it."""
+
+
+class Solving(TypedDict, total=False):
+    """How the problems of a pool's people are solved, and what that may take. Each entry has a default.
+
+    Attributes
+    ----------
+    solver : callable
+        Returns the policy for one person's problem; `qmdp` by default. On a truncated task, that problem has proven
+        bounds at its frontier (`LeafBounds`). The policy acts in its states; elsewhere the robot looks one step ahead.
+    memory_limit_mb : float
+        Memory of all QMDP policies in MB; it is estimated before anything is allocated.
+    states : int
+        Largest number of states of a table that is enumerated. It is `MAX_ENUMERATED` if people have a memory, if
+        actions are executed, if another solver is given, or if people are asked for their goals. Tables of several
+        goals are enumerated if their policies do not exceed the memory limit.
+    region : int or None
+        Number of states of a policy's truncated task, for each goal; by default
+        `assist.person.truncated_policy.default_size`, or fewer for many goals, by the memory limit.
+    time_limit : float or None
+        Seconds after which no further POMDP is built, and a `LimitError` says for how many people it was; none by
+        default.
+    """
+
+    solver: Callable[[AssistPOMDP], Policy]
+    memory_limit_mb: float
+    states: int
+    region: int | None
+    time_limit: float | None
+
+
+def solved_on_demand(
+    table: CostToGo | Choices | Goals, them: Drawn, setting: Setting, prior: Population, tell: Progress,
+    **solving: Unpack[Solving],
+) -> tuple[Sequence[Human], list[Policy]]:  # fmt: skip
+    """Return people at a task and the policy for each; one for all if the robots know nobody's misconceptions.
+
+    Raises
+    ------
+    ValueError, LimitError
+        As in `Pool.sample`.
+    TypeError
+        There is no such option.
+    """
+    require_options(solving, Solving.__annotations__)
+    solver, limit = solving.get("solver", qmdp), solving.get("memory_limit_mb", MEMORY_LIMIT_MB)
+    ends, terms = Deadline.after(solving.get("time_limit")), (*them.terms, *prior.weights)
+    states = whole("states", solving.get("states", WHOLE))
+    if (region := solving.get("region")) is not None:
+        whole("region", region, 1)
+    if isinstance(table, Goals) and terms:
+        raise ValueError("people with weights of terms: expected one goal")
+    own = solver if solver != qmdp else None
+    asks = isinstance(table, Goals) and setting.c_ask is not None  # worth of answers: exact where it is affordable
+    most = MAX_ENUMERATED if asks or own or terms or setting.fleet.executes else states
+    choices: Choices | None = None
+    if isinstance(table, Choices) or is_whole(table, most):
+        choices = affordable_choices(table, setting, terms, them.size, limit, required=bool(terms))
+    if choices is None:
+        assert not isinstance(table, Choices)
+        return _truncated(table, them, setting, prior, **solving)
+    people = them.at(choices)
+    known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
+    advance, policies = adding(tell, "setting up people's POMDPs", len(known)), list[Policy]()
+    for human in known:
+        ends.check(f"setting up {len(policies)} of {len(known)} people's POMDPs; expected fewer people, or more time")
+        problem = replace(Assumptions.of(setting, human, prior).problem(choices), alike=len(known))
+        policies.append(LazyPolicy(problem, solver))
+        advance(1)
+    return people, policies
+
+
+def _truncated(
+    table: CostToGo | Goals, them: Drawn, setting: Setting, prior: Population, **solving: Unpack[Solving]
+) -> tuple[Sequence[Human], list[Policy]]:
+    """Return people at a task that is not enumerated, and their policies."""
+    region, limit = solving.get("region"), solving.get("memory_limit_mb", MEMORY_LIMIT_MB)
+    solver = solving.get("solver", qmdp)
+    own = solver if solver != qmdp else None
+    require_goal(float(costs_to_go(table, np.array([first_of(table).initial])).min()))
+    require_room_for_people(them.size, 0, limit)
+    people, models = them.at(None), them.size if setting.knowledge == "own" else 1
+    room, terms = states_within(limit, len(each_of(table)), models), (*them.terms, *prior.weights)
+    known = Remembering(first_of(table), dict.fromkeys(terms)) if terms else table
+    ground = SharedTask(known, region or min(default_size(table), room), models)
+    of_task = TruncatedPolicy(ground, Assumptions.of(setting, None, prior), solver=own)
+    if setting.knowledge != "own":
+        return people, [of_task]
+    return people, [TruncatedPolicy(ground, Assumptions.of(setting, one, prior), of_task, own) for one in people]
