@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Unpack
 
@@ -11,6 +11,7 @@ import numpy as np
 from ..people.arguments import Seed
 from ..people.decision import Floats
 from ..people.spread import Spread
+from ..person.policy import Policy
 from .episode import Episode
 from .pool import Pool
 from .requested import Conditions
@@ -19,26 +20,39 @@ from .state import TeamAction, TeamPolicy, TeamState
 from .trace import Trace, robot_is_at
 
 
+def belief_of(team: TeamState) -> Floats:
+    """Return the beliefs about the people of one team, shape (K, H, T)."""
+    assert team.belief is not None
+    return team.belief[0].copy()  # the simulation reuses the array
+
+
 @dataclass(frozen=True)
 class Watched:
-    """A policy for one team that records the robot's beliefs in each step in which it chooses.
+    """A policy for one team of which something is kept in each step in which it chooses.
 
     Attributes
     ----------
     policy : TeamPolicy
         The policy that chooses.
-    beliefs : dict of float arrays, shape (K, B, T)
-        Beliefs by step.
+    look : callable
+        Returns what is kept: the beliefs unless given.
+    seen : dict
+        What was kept, by step.
     """
 
     policy: TeamPolicy
-    beliefs: dict[int, Floats] = field(default_factory=dict)
+    look: Callable[[TeamState], Floats] = belief_of
+    seen: dict[int, Floats] = field(default_factory=dict)
     uses_belief = True  # even if the policy itself does not use beliefs
 
+    def prepare(self, policy: Policy) -> None:
+        """Compute now the data about the people of a policy."""
+        if hasattr(self.policy, "prepare"):
+            self.policy.prepare(policy)
+
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Record the beliefs, and return the policy's choice."""
-        assert team.belief is not None
-        self.beliefs[team.step] = team.belief[0].copy()  # the simulation reuses the array
+        """Look at the team, and return the policy's choice."""
+        self.seen[team.step] = self.look(team)
         return self.policy(team)
 
 
@@ -78,7 +92,7 @@ def beliefs_of_episode(
     for action in trace:
         place, step = action["place"], action["step"]
         pomdp = pomdps[place]
-        belief = watched.beliefs[step][place] if step in watched.beliefs else np.full(pomdp.prior.shape, np.nan)
+        belief = watched.seen[step][place] if step in watched.seen else np.full(pomdp.prior.shape, np.nan)
         beta, theta = pomdp.grid.spreads(belief, pomdp.hidden)
         rows.append(
             {

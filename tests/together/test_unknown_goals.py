@@ -130,7 +130,7 @@ def test_the_belief_is_that_of_enumerated_histories(name: str, seed: int) -> Non
         for row in (row for row in trace if row["place"] == place):
             if steps:
                 known = by_enumeration(goals, pool.policies[0].pomdp, steps, seen_going_on=True)
-                np.testing.assert_allclose(_going_on(known, goals, x), watched.beliefs[row["step"]][place], atol=1e-12)
+                np.testing.assert_allclose(_going_on(known, goals, x), watched.seen[row["step"]][place], atol=1e-12)
             steps.append((x, row["suggestion"], row["action"]))
             slot = [choices.name(x, a) for a in range(choices.applicable[x].sum())].index(row["action"])
             x = int(choices.targets[x, slot])
@@ -205,7 +205,7 @@ def test_what_the_robot_knows_of_goals_is_worth_something() -> None:
         watched = Watched(pool.policy("attention"))
         trace: list[dict[str, Any]] = []
         simulate(pool, watched, humans=2, episodes=1, seed=5, goals=knows, trace=trace)  # type: ignore[arg-type]
-        seen[knows] = np.array([belief.reshape(2, 3, -1).sum(axis=2) for belief in watched.beliefs.values()])
+        seen[knows] = np.array([belief.reshape(2, 3, -1).sum(axis=2) for belief in watched.seen.values()])
         if knows == "known":
             own = [next(row["goal"] for row in trace if row["place"] == place) for place in (0, 1)]
             true = np.array([np.array([*"abc"]) == goal for goal in own])

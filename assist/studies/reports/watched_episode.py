@@ -8,7 +8,7 @@ policies it is the same quantity, by which they can be judged.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,14 +19,13 @@ from ...live.trace_reasons import TraceReasons
 from ...people.arguments import Seed, entropy, whole
 from ...people.choices import Choices
 from ...people.decision import Floats
-from ...person.policy import Policy
 from ...team.attention import AttentionSwitching
+from ...team.belief_trace import Watched
 from ...team.episode import Episode
-from ...team.outlook import beside
 from ...team.policies import by_name
 from ...team.pool import Pool, require_pool
 from ...team.simulate import simulate
-from ...team.state import TeamAction, TeamPolicy, TeamState
+from ...team.state import TeamPolicy, TeamState
 from ...team.trace import Trace, robot_is_at
 
 if TYPE_CHECKING:
@@ -96,29 +95,10 @@ class WatchedEpisode(Result):
         return watched_figure(self)
 
 
-@dataclass(frozen=True)
-class _Watching:
-    """A policy for one team that keeps the gains that a robot expects in each step in which it chooses."""
-
-    policy: TeamPolicy
-    gains: dict[int, Floats] = field(default_factory=dict)
-    uses_belief = True  # even if the policy itself does not use beliefs
-
-    def prepare(self, policy: Policy) -> None:
-        """Compute now the data about the people of a policy."""
-        if hasattr(self.policy, "prepare"):
-            self.policy.prepare(policy)
-
-    def beside(self, team: TeamState, actions: int) -> Floats:
-        """Return what the policy takes robot actions to be worth beside each person."""
-        return beside(self.policy, team, actions)
-
-    def __call__(self, team: TeamState, /) -> TeamAction:
-        """Keep the gains, and return the policy's choice."""
-        scores = AttentionSwitching().scores(team)[1][0]
-        best = scores.max(axis=0)
-        self.gains[team.step] = np.where(team.active[0] & np.isfinite(best), best, np.nan)
-        return self.policy(team)
+def _gains(team: TeamState) -> Floats:
+    """Return the gain that a robot expects from each person of one team, shape (K,)."""
+    best = AttentionSwitching().scores(team)[1][0].max(axis=0)
+    return np.where(team.active[0] & np.isfinite(best), best, np.nan)
 
 
 def watch(
@@ -155,14 +135,14 @@ def watch(
     number, seed_number = whole("episode", episode), entropy(seed)
     ((name, given),) = by_name(policy).items()
     chosen = pool.policy(given) if isinstance(given, str) else given
-    watching, trace, alone = _Watching(chosen), Trace(), Trace()
+    watching, trace, alone = Watched(chosen, _gains), Trace(), Trace()
     reasons = TraceReasons(pool.policies, None if isinstance(pool.known, Choices) else pool.known)
     shared: dict[str, Any] = {"humans": humans, "episodes": [number], "seed": seed_number, **options}
     runs = simulate(pool, watching, name=name, trace=trace, reasons=reasons, progress=False, **shared)
     simulate(pool, "none", trace=alone, progress=False, **shared)
     steps = 1 + max(row["step"] for row in trace)
     nothing = np.full(runs.people.shape[1], np.nan)
-    gain = np.array([watching.gains.get(step, nothing) for step in range(steps)])
+    gain = np.array([watching.seen.get(step, nothing) for step in range(steps)])
     return WatchedEpisode(runs[0], trace, alone, gain)
 
 

@@ -76,8 +76,8 @@ def test_step_by_step_it_is_what_is_simulated(tiny: Table, policy: str, setting:
         for row in (row for row in trace if row["step"] == step):
             name = str(row["place"])
             known = desk.person(name)
-            if step in watched.beliefs:
-                assert (known.belief == watched.beliefs[step][row["place"]]).all()
+            if step in watched.seen:
+                assert (known.belief == watched.seen[step][row["place"]]).all()
             assert known.cost_to_go == row["cost_to_go"]
             assert known.suggestion == row["suggestion"] == (advice.suggestion if advice.person == name else None)
             assert row["robot_places"] == [int(desk.robot) if desk.robot and there_at <= step else None]
