@@ -20,6 +20,7 @@ ROOT = Path(__file__).parent.parent
 sys.path += [str(ROOT / "bench"), str(ROOT / "tests"), str(ROOT / "tests" / "together")]
 
 from gates_records import here  # noqa: E402
+from recorded import predictions, simulated  # noqa: E402
 from simulated_people import People, observed, record, record_with_terms, record_with_trust  # noqa: E402
 
 from assist.learning import (  # noqa: E402
@@ -200,7 +201,7 @@ def of_advice(log: Any, folds: int, rules: dict[str, Any]) -> Iterator[tuple[str
     def answers() -> Any:
         first = fold_of(log.people, folds) == 0
         model = fit_model(AdviceModel.of(base_of(log), RULES["constant"]), log.of(~first))
-        return model.predictions(log.of(first)).tolist()[:50]
+        return predictions(model, log.of(first)).tolist()[:50]
 
     yield "answers", answers
 
@@ -211,7 +212,6 @@ def figures(large: bool) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield from of_goals(6 if large else 2)
     every = ("constant", "paper", "outcome", "outcome-at-disagreement", "reliability")
     yield from of_rules(table, *((25, 60, every) if large else (5, 8, ("paper", "reliability"))))
-    from recorded import simulated
 
     few = {name: COMPARED[name] for name in ("constant", "outcome", "base rates")}
     log = simulated(24, 25, 2, steps=0.5) if large else simulated(10, 8, 2, steps=0.5)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from assist.learning.advice_log import AdviceLog
-from assist.learning.advice_model import LAPSE
+from assist.learning.advice_model import LAPSE, AdviceModel
 from assist.learning.log import Entry, Log
 from assist.learning.observations import EvaluatedStates, Observations, observe
 from assist.learning.replay import replay
@@ -102,3 +102,15 @@ def simulated(people: int, trials: int, seed: int, *, spread: float = 1.5, steps
     person, *others = (list(column) for column in zip(*rows, strict=True))
     kinds = (bool, int, bool, bool, bool, bool, float, float)
     return AdviceLog(np.array(person), *(np.array(c, dtype=k) for c, k in zip(others, kinds, strict=True)))
+
+
+def predictions(model: AdviceModel, log: AdviceLog) -> np.ndarray:
+    """Return the log probability of each answer, given the person's answers before it, shape (N,)."""
+    found, weights = model.likelihood(log)
+    with np.errstate(divide="ignore"):
+        logs = np.log(found)
+    joint = []
+    for own in np.split(logs, np.flatnonzero(log.first)[1:]):
+        every = np.logaddexp.reduce(own.cumsum(axis=0) + weights, axis=1)
+        joint.append(np.diff(every, prepend=0.0))
+    return np.concatenate(joint)

@@ -55,8 +55,8 @@ ROOMS = {
         sampled_bound""",
     "assist.learning": """method statistics repeated_measures log_steps log_json log_files log comparison intervals
         advice_log
-        advice_rules advice_model advice_fit replay observations joint_states evidence neighbours_in_logs likelihood
-        choosing likelihood_table likelihood_arrays first_estimates person_estimate maximum_likelihood
+        advice_rules advice_model advice_fit replay observations evidence neighbours_in_logs likelihood
+        likelihood_table likelihood_arrays first_estimates person_estimate maximum_likelihood
         logit_likelihood hierarchy misconception_fit
         diagnostics population fit goals rule_families posterior_sample influence_population
         rule_search trust_fit held_out""",
@@ -81,7 +81,7 @@ ROOMS = {
     "assist.cli.terminal": "interrupts console",
     "assist.cli.options": """common config settings task population person travel policies goals team help bridges
         listening live log trust""",
-    "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
+    "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries
         people_estimates trust_estimates comparisons goal_posteriors""",
     "assist.cli": """domains check solve simulate policy bound export draw fit compare infer study user_study
         serve settings study_prepare study_report command_group""",

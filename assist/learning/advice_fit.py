@@ -65,12 +65,6 @@ def _best(start: AdviceModel, log: AdviceLog) -> AdviceModel:
     return surface.finite(min((_local_maximum(surface, one) for one in best), key=surface.loss))
 
 
-def local_maximum(start: AdviceModel, log: AdviceLog) -> AdviceModel:
-    """Return a local maximum of the marginal likelihood that a search without derivatives finds from `start`."""
-    surface = _Likelihood(start, log)
-    return surface.model(_local_maximum(surface, surface.point(start.values)))
-
-
 @dataclass(frozen=True)
 class _Likelihood:
     """The marginal likelihood of a log as a function of a model's free parameters, on a scale without limits."""

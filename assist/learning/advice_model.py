@@ -10,8 +10,7 @@ own choice, -1 elsewhere, z is one of
 - base "EA": base "E" plus `advised` times the advisor's confidence, in all rows.
 
 The initial theta is integrated out: by Gauss-Hermite quadrature, or on more nodes that are evenly spaced where many
-judgements of a person tell theta closely. Its posterior is updated after each row, so that every row is predicted from
-the rows before it.
+judgements of a person tell theta closely.
 """
 
 from __future__ import annotations
@@ -126,23 +125,8 @@ class AdviceModel:
         answers = Answers(log.first, log.sequence, log.follows, depends, shift)
         return _likelihood(found, answers, moves, self.rule.from_start, start, weights)
 
-    def predictions(self, log: AdviceLog) -> Floats:
-        """Return the log probability of each answer, given the person's answers before it, shape (N,)."""
-        found, weights = self.likelihood(log)
-        with np.errstate(divide="ignore"):
-            logs = np.log(found)
-        total = np.cumsum(logs, axis=0)
-        begins = np.flatnonzero(log.first)
-        before = np.zeros((len(begins), found.shape[1]))
-        before[1:] = total[begins[1:] - 1]
-        total -= np.repeat(before, np.diff(np.append(begins, len(log))), axis=0)
-        joint = np.logaddexp.reduce(total + weights, axis=1)
-        earlier = np.append(0.0, joint[:-1])
-        earlier[begins] = 0.0
-        return np.asarray(joint - earlier)
-
     def log_likelihoods(self, log: AdviceLog) -> Floats:
-        """Return the log probability of each person's answers: the sums of `predictions`, in the order of the log."""
+        """Return the log probability of each person's answers, in the order of the log."""
         return self._filled(log, np.empty((0, self.nodes)))
 
     def log_likelihood(self, log: AdviceLog) -> float:

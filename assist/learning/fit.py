@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, Literal, TypeAlias, Unpack
@@ -15,22 +16,23 @@ from planner.system.limits import Deadline
 from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.results import Result
 
-from ..people.choice_model import ChoiceModel, boltzmann
+from ..people.choice_model import ChoiceModel, boltzmann, chances, value
+from ..people.choices import Choices
+from ..people.decision import NOTHING, perceived_cost
 from ..people.human import Human
 from ..people.misconception import Misconception
 from ..people.ranges import Population
 from ..people.terms import TERMS, Term
 from ..people.weighted_choice import Weighted
 from ..person.settings import Setting
-from .choosing import with_model
 from .diagnostics import check
 from .evidence import Evidence, Reading, Records, Tasks, evidence
 from .hierarchy import Hierarchy, fit_terms
-from .likelihood import Method, largest_beta
+from .likelihood import SMALL, Method, largest_beta
 from .log import Fault, in_order
 from .maximum_likelihood import maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
-from .observations import Ints
+from .observations import Chances, Ints, Observations
 from .person_estimate import UNCHECKED, PersonEstimate, nothing_known
 from .population import Margin, PopulationFit, fit_population, population_of
 
@@ -319,3 +321,50 @@ def _with_likeliest(fit: PersonEstimate) -> PersonEstimate:
         name: o.by_goal(name)[of_step, rows] for name in ("excess", "optimal", "ahead", "gain", "cost_to_go", "goal")
     }
     return replace(fit, observations=replace(o, **chosen))
+
+
+def with_model(
+    observations: Sequence[Observations], chooses: ChoiceModel, table: Table, largest: float
+) -> list[Observations]:
+    """Return observations with the probabilities of a choice model, and with gains in its own V.
+
+    The model is evaluated once, on a grid of beta. Between two grid points, probabilities are interpolated.
+
+    Parameters
+    ----------
+    observations : sequence of Observations
+    chooses : ChoiceModel
+    table : Table
+        Table of the task, whose state numbers `Observations.state` has.
+    largest : float
+        Upper end of the range of beta.
+
+    Raises
+    ------
+    UserCodeError
+        The model fails, or does not return probabilities.
+    """
+    choices = Choices.of(table)
+    q = perceived_cost(choices, choices.h)
+    v = value(chooses, choices, q)
+    numbers = [o.state for o in observations]
+    states, rows = np.unique(np.concatenate(numbers), return_inverse=True)
+    beta = SMALL * largest * np.expm1(np.linspace(0.0, math.log1p(1 / SMALL), 257))
+    beta[-1] = largest
+    known = np.empty((len(states), choices.applicable.shape[1], len(beta)))
+    for begin in range(0, len(beta), 8):  # a model returns all states, of which few are visited, for each beta
+        block = slice(begin, begin + 8)
+        known[:, :, block] = np.moveaxis(chances(chooses, choices, q, beta[block])[:, states], 0, 2)
+    found = []
+    for o, number, own in zip(
+        observations, numbers, np.split(rows, np.cumsum([len(n) for n in numbers])[:-1]), strict=True
+    ):
+        width = min(o.excess.shape[1], known.shape[1])
+        chance = np.zeros((len(o), o.excess.shape[1], len(beta)))
+        chance[:, :width] = known[own, :width]
+        told = o.suggested != NOTHING
+        after = choices.targets[number, np.maximum(o.suggested, 0)]
+        with np.errstate(invalid="ignore"):
+            gain = np.where(told & (v[after] != v[number]), v[after] - v[number], 0.0)
+        found.append(replace(o, gain=gain, own=Chances(beta, chance)))
+    return found

@@ -12,7 +12,7 @@ The learning rate eta is the same for all people.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -140,15 +140,11 @@ def fixed_of(likelihood: Likelihood, people: int) -> NDArray[np.bool_]:
     return fixed
 
 
-def with_rate(likelihood: Likelihood, method: Method, progress: Callable[[int], None] | None = None) -> Likelihood:
+def with_rate(likelihood: Likelihood, method: Method) -> Likelihood:
     """Return the likelihood with the best learning rate of `RATES` for all people, unless it is known."""
     if method.eta is not None or not likelihood.steps.told:
         return likelihood
-    found = []
-    for rate in RATES:
-        found.append(fit_hierarchy(replace(likelihood, eta=float(rate)), 5).evidence)
-        if progress is not None:
-            progress(1)
+    found = [fit_hierarchy(replace(likelihood, eta=rate), 5).evidence for rate in RATES.tolist()]
     return replace(likelihood, eta=float(RATES[int(np.argmax(found))]))
 
 
@@ -228,9 +224,7 @@ def _end(
     return np.where(np.isfinite(root_outside), inside + np.clip(share, 0.0, 1.0) * (outside - inside), end)
 
 
-def fit_terms(
-    observations: Sequence[Observations], method: Method, *, progress: Callable[[int], None] | None = None
-) -> tuple[list[PersonEstimate], Hierarchy]:
+def fit_terms(observations: Sequence[Observations], method: Method) -> tuple[list[PersonEstimate], Hierarchy]:
     """Return the estimates of all people's parameters with terms, and the population.
 
     Parameters
@@ -238,11 +232,8 @@ def fit_terms(
     observations : sequence of Observations
         Observations of each person, all with the same terms.
     method : Method
-    progress : callable, optional
-        Called with the number of `RATES` that have been tried since the last call, if the learning rate is unknown and
-        there were suggestions.
     """
-    likelihood = with_rate(Likelihood.of(observations, method), method, progress)
+    likelihood = with_rate(Likelihood.of(observations, method), method)
     found = fit_hierarchy(likelihood)
     low, high, _ = intervals(likelihood, found.at, method.level)
     value = likelihood.derivatives(found.at)[0]

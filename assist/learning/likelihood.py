@@ -1,24 +1,25 @@
 """The likelihood of people's choices under the model of `people.decision`, from which people and rules are estimated.
 
-It depends on the episode, the type and theta_0. A type is what is hidden about a person: beta and, if one
-of several goals is pursued in each episode, the goal. theta_0 is the influence with which a person, or an episode,
-begins. The perceived cost-to-go is h*. A choice model says how likely a choice is without a suggestion (`alone`), a
-trust rule what theta is at each suggestion, and equation (6) joins the two (`joint`). Goals are summed within an
-episode, with their prior probabilities, and the logarithms of episodes are added (`with_trust`). After a goal is
-reached, an action can only be a lapse, and a suggestion does not move theta.
+It depends on the episode, the type and theta_0. A type is what is hidden about a person: beta and, if one of several
+goals is pursued in each episode, the goal. theta_0 is the influence with which a person, or an episode, begins. The
+perceived cost-to-go is h*. A choice model says how likely a choice is without a suggestion (`alone`), a
+trust rule what theta is at each suggestion, and equation (6) joins the two. Goals are summed within an episode, with
+their prior probabilities, and the logarithms of episodes are added (`with_trust`). After a goal is reached, an action
+can only be a lapse, and a suggestion does not move theta.
 
 `LikelihoodTable` has it by person, beta and theta_0. What is estimated is a function of it:
 
 - one person, whose episodes each begin with theta_0 and whose theta moves by equation (7): the maximum over beta,
-  theta_0 and the rule's eta, and likelihood-ratio intervals (`profiles`, `maximum_likelihood`);
+  theta_0 and the rule's eta, and likelihood-ratio intervals (`maximum_likelihood`);
 - a population, and the parameters of a trust rule: the maximum of the marginal likelihood, that is, of the table's
   mean over nodes of beta and theta_0 (`likelihood_table`, `population`, `influence_population`, `rule_search`);
 - goals: the table of an episode, normalised over goals (`goal_posteriors`);
 - comparisons: the same with people whom the fit has not seen (`held_out`).
 
-The search for one person asks the same kernels for single
-points, since the maximum lies on narrow ridges between nodes. Terms (`logit_likelihood`), misconceptions
-(`misconception_fit`) and judgements with advice (`advice_model`) are other models, with likelihoods of their own.
+The search for one person asks the same kernels for single points, since the maximum lies on narrow ridges between
+nodes. `likelihood_arrays` has the readable form in numpy, for work that takes less time than compiling. Terms
+(`logit_likelihood`), misconceptions (`misconception_fit`) and judgements with advice (`advice_model`) are other models,
+with likelihoods of their own.
 """
 
 from __future__ import annotations

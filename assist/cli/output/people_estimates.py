@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import click
+from rich.table import Table
 
 from planner.system.errors import InputFileError
 from planner.system.files import atomic, write_records
@@ -64,7 +66,6 @@ class FitFiles(NamedTuple):
 def show_people(people: FittedPeople, files: FitFiles) -> bool:
     """Write and print estimates and, if requested, their distribution. Return whether the whole log was used."""
     from ...drawing.plots import people as pictures
-    from .estimate_tables import lines_of, table_of
 
     if files.family and not files.population and len(people) < 3:
         raise click.UsageError("--family: expected a log of 3 people or more, or --write-population")
@@ -82,8 +83,8 @@ def show_people(people: FittedPeople, files: FitFiles) -> bool:
     if files.as_json:
         print_json(records)
     else:
-        print_table(table_of(people), width=160)
-        click.echo("".join(f"{line}\n" for line in lines_of(people, general)), nl=False)
+        print_table(_table_of(people), width=160)
+        click.echo("".join(f"{line}\n" for line in _lines_of(people, general)), nl=False)
     return people.complete
 
 
@@ -91,3 +92,62 @@ def write_population(found: PopulationFit, file: Path, sigma: Range = (0.0, 0.0)
     """Write a distribution over people, with the range of their misconceptions, as `simulate --population` reads it."""
     with atomic(file) as path:
         path.write_text(json.dumps(found.as_dict(sigma), indent=1) + "\n", encoding="utf-8")
+
+
+def _table_of(people: FittedPeople) -> Table:
+    """Return a table of the estimates of every person in the log, with intervals."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("person")
+    for name in ("beta", "theta", "eta", "actions", "suboptimal", "log-likelihood", "check p"):
+        table.add_column(name, justify="right")
+    if any(record.misconception is not None for record in people.values()):
+        table.add_column("sigma", justify="right")
+    terms = list(next((record.weights for record in people.values()), {}))
+    for name in terms:
+        table.add_column(name, justify="right")
+    for name in _everybody(people):
+        if name not in people:
+            table.add_row(name, *["-"] * (7 + len(terms)))
+            continue
+        record = people[name]
+        every, m = record.estimates, record.misconception
+        cells = [
+            "-" if name not in every else _interval(value, every[name].interval, every[name].open_above)
+            for name, value in (("beta", record.beta), ("theta", record.theta), ("eta", record.eta))
+        ]
+        cells += [f"{record.actions}", f"{record.suboptimal_actions}", f"{record.log_likelihood:.2f}"]
+        cells.append("-" if record.check.p is None else f"{record.check.p:.3f}")
+        if m is not None:
+            cells.append(_interval(m.sigma, m.interval, m.open_above))
+        cells += [_interval(one.value, one.interval, one.open_above) for one in (every[name] for name in terms)]
+        table.add_row(name, *cells)
+    return table
+
+
+def _lines_of(people: FittedPeople, found: PopulationFit | None) -> Iterable[str]:
+    """Return notes on each person's estimates, followed by the distribution over people if it is known."""
+    for name in _everybody(people):
+        notes = people[name].notes if name in people else [people.unknown[name]["error"]]
+        yield from (f"{name}: {note}" for note in notes)
+    if found is None:
+        return
+    whose = f"population of {found.people}"
+    for name, margin in (("beta", found.beta), ("theta", found.theta)):
+        if margin is not None:
+            spread = f"mean {margin.mean:.2f}, standard deviation {margin.spread:.2f}"
+            yield f"{whose}: {name} is {margin.family}, {spread}"
+    for name, (mean, deviation) in found.weights.items():
+        yield f"{whose}: the weight of {name} is normal, mean {mean:.2f}, standard deviation {deviation:.2f}"
+    if found.eta is not None:
+        yield f"{whose}: eta {found.eta:.2f}"
+
+
+def _everybody(people: FittedPeople) -> list[str]:
+    from ...learning.log import in_order
+
+    return sorted([*people, *people.unknown], key=in_order)
+
+
+def _interval(value: float | None, interval: tuple[float, float], open_above: bool) -> str:
+    shown = "?" if value is None else f"{value:.2f}"
+    return f"{shown} ({interval[0]:.2f} to {interval[1]:.2f}{'+' if open_above else ''})"

@@ -16,10 +16,10 @@ from advice_rules import model_of
 from conftest import invoke
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recorded import simulated
+from recorded import predictions, simulated
 
 from assist.learning import held_out
-from assist.learning.advice_fit import fit_advice, fit_model, local_maximum
+from assist.learning.advice_fit import _Likelihood, _local_maximum, fit_advice, fit_model
 from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
 from assist.learning.advice_rules import DEFAULT_STEPS, RULES, Rule
@@ -82,7 +82,7 @@ def test_the_likelihood_is_that_of_the_model(slope: str) -> None:
                     theta = min(max(theta, LEAST), 1 - LEAST)
                 mass += weight * share * chance
             total += math.log(mass)
-        assert model.predictions(log).sum() == pytest.approx(total, rel=1e-10)
+        assert predictions(model, log).sum() == pytest.approx(total, rel=1e-10)
         assert model.log_likelihood(log) == pytest.approx(total, rel=1e-10)
 
 
@@ -93,7 +93,7 @@ def test_the_likelihood_of_thousands_of_answers_is_the_sum_of_their_predictions(
     model = AdviceModel.of(base, RULES["outcome"])
     total = model.log_likelihood(log)
     assert total < -1_000
-    assert total == pytest.approx(model.predictions(log).sum(), rel=1e-9)
+    assert total == pytest.approx(predictions(model, log).sum(), rel=1e-9)
 
 
 def test_parameters_of_people_with_thousands_of_answers_are_found() -> None:
@@ -144,7 +144,7 @@ def test_rules_are_compared_with_base_rates_and_fixed_steps() -> None:
         for agrees in (False, True):
             rate = (others.follows[others.agrees == agrees].sum() + 0.5) / ((others.agrees == agrees).sum() + 1)
             total -= np.log(np.where(inside.follows, rate, 1 - rate))[inside.agrees == agrees].sum()
-        constant -= fit_model(CONSTANT, others).predictions(inside).sum()
+        constant -= predictions(fit_model(CONSTANT, others), inside).sum()
     assert found["rates"].nats_per_choice * len(log) == pytest.approx(total)
     assert found["constant"].nats_per_choice * len(log) == pytest.approx(constant, abs=0.01)
     assert found["rates"].difference == pytest.approx((total - constant) / len(log), abs=1e-4)
@@ -204,7 +204,8 @@ def test_a_fit_of_clipped_steps_is_the_best_of_local_maxima() -> None:
     for _ in range(6):
         values = (rng.normal(0.5, 1.5), rng.uniform(0.5, 4), *model.values[2:])
         for start, others in ((model, coarse), (found, fine)):
-            others.append(local_maximum(replace(start, values=values), log).log_likelihood(log))
+            surface = _Likelihood(start, log)
+            others.append(-surface.loss(_local_maximum(surface, surface.point(values))))
     assert max(coarse) - min(coarse) > 1 > 2 * (max(fine) - min(fine))
     assert found.log_likelihood(log) > max(fine) - 0.01
 

@@ -11,8 +11,8 @@ from conftest import invoke, kit
 from recorded import lines, observed, people_at_work, write_log
 from test_goal_fit import METHOD, fitted
 
-from assist.learning.choosing import with_model
 from assist.learning.first_estimates import first_estimates
+from assist.learning.fit import with_model
 from assist.learning.likelihood import Data, Method
 from assist.learning.likelihood_arrays import log_likelihoods
 from assist.learning.likelihood_table import log_likelihood

@@ -279,12 +279,11 @@ def test_what_is_dropped_is_dropped_as_a_suggestion_too(tiny: Table) -> None:
     assert len(replay(Log.of(robot), tiny, drop=["wait"])[0]) == 2
 
 
-@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
-def test_csv_is_read_as_json_lines_are(tmp_path: Path, tiny: Table, delimiter: str) -> None:
+def test_csv_is_read_as_json_lines_are(tmp_path: Path, tiny: Table) -> None:
     rows = [*lines(FETCH, RIGHT, told={1: WRONG}), *lines(*PLAN, person='Zoë, Ann\'s "twin"', episode="2")]
     file = tmp_path / "log.csv"
     with file.open("w", newline="", encoding="utf-8-sig") as out:
-        writer = csv.DictWriter(out, ["note", *rows[0]], delimiter=delimiter)
+        writer = csv.DictWriter(out, ["note", *rows[0]])
         writer.writeheader()
         writer.writerows({"note": "two\nlines", **row} for row in rows)
     log = read_log(file)
@@ -371,23 +370,6 @@ def test_bytes_that_are_not_utf8_make_no_new_person(tmp_path: Path, tiny: Table)
         "log:1: its bytes are not UTF-8; expected a file in that encoding (and so 5 more, to line 6)"
     ]
     assert used(file, tiny) == {"ann": len(PLAN)}
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--drop", "nosuch"], "drop nosuch: no action in "),
-        (["--drop", "nosuch", "--drop", "fetch"], "drop nosuch: no action in "),
-        (["--rename", "nosuch=fetch"], "rename nosuch=fetch: no action in "),
-        (["--rename", "fetch=nosuch"], "rename fetch=nosuch: no action of the task is called 'nosuch'"),
-        (["--rename", "fetch=return", "--rename", "fetch=place"], "--rename fetch=place: 'fetch' is renamed already"),
-    ],
-)
-def test_names_that_stand_for_nothing_are_refused(tmp_path: Path, options: list[str], message: str) -> None:
-    file = write_log(tmp_path / "log.jsonl", lines(*PLAN))
-    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file), *options])
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert message in result.stderr
 
 
 def test_what_the_robot_does_itself_is_no_choice(tiny: Table) -> None:
@@ -496,42 +478,6 @@ def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
     strict = CliRunner().invoke(main, [*command, "--strict"])
     assert (strict.exit_code, strict.stdout) == (1, "")
     assert strict.stderr.splitlines()[-1] == f"{file}: nothing is estimated, because of --strict"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text", "code", "words"),
-    [
-        ((), "", 1, "log.jsonl: no recorded actions"),
-        ((), '{"person": "a", "episode": 1, "step": 0, "action": "(stack a b)"}\n', 1, "log of another instance?"),
-        ((), "no json\n", 1, "log.jsonl:1: not JSON"),
-        ((), "[1]\n", 1, "log.jsonl:1: expected an object"),
-        (("--rename", "a"), "", 2, "expected OLD=NEW"),
-        (("--columns", "person"), "", 2, "--columns person: expected NAME=COLUMN"),
-        (("--columns", "person=a,person=b"), "", 2, "--columns person=b: 'person' has a column already"),
-        (
-            ("--columns", "worker=person"),
-            "",
-            2,
-            "a log has no column 'worker'; did you mean person=worker?",
-        ),
-        (("--columns", "person=a,action=A"), "", 2, "columns action=A: 'A' stands for another column already"),
-        (("--columns", "person=workr"), '{"worker": "a"}\n', 2, "has no column 'workr'; did you mean 'worker'?"),
-        (("--columns", "person=who"), '{"a": 1, "b": 2}\n', 2, "has no column 'who'; it has a, b"),
-        (("--set", "level=2"), "", 2, "level: 2; expected a number above 0 and below 1"),
-        (("--set", "eta=-1"), "", 2, "eta: -1; expected a number from 0"),
-        (("--set", "largest_beta=0"), "", 2, "largest_beta: 0; expected a number from 1e-09"),
-    ],
-)
-def test_fit_refuses_what_makes_no_sense(
-    tmp_path: Path, arguments: tuple[str, ...], text: str, code: int, words: str
-) -> None:
-    file = tmp_path / "log.jsonl"
-    file.write_text(text)
-    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file), *arguments])
-    assert result.exit_code == code
-    assert words in result.stderr
-    assert "Traceback" not in result.stderr
-    assert result.stdout == ""
 
 
 def test_what_depends_on_an_unknown_cost_is_left_out(tiny: Table) -> None:

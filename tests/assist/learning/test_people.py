@@ -111,28 +111,53 @@ def test_eta_of_a_population_only_where_it_is_known(tiny: Table) -> None:
     assert eta == pytest.approx(0.2, abs=0.1)
 
 
+SPOILT = '{"person": "a", "episode": 1, "step": 0, "action": "(stack a b)"}'
+
+
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "text", "words"),
     [
-        (["--out", "{0}/x", "--write-population", "{0}/x"], "--write-population {0}/x: the same file as --out"),
-        (["--out", "{0}/log.jsonl"], "--out {0}/log.jsonl: the same file as LOG"),
-        (["--write-population", "{0}/tiny.pddl"], "--write-population {0}/tiny.pddl: the same file as INSTANCE"),
-        (["--out", "{0}/domain.pddl"], "--out {0}/domain.pddl: the same file as its domain"),
-        (["--family", "uniform", "--json"], "--family: expected --write-population"),
-        (["--set", "largest_beta=1e300"], "largest_beta: 1e+300; expected a number from 1e-09 to 1e+09"),
-        (["--set", "utility_scale=1e-300"], "utility_scale: 1e-300; expected a number from 1e-09 to 1e+09"),
-        (["--set", "eta=1e300"], "eta: 1e+300; expected a number from 0 to 1e+09"),
+        ("--out {0}/x --write-population {0}/x", None, "--write-population {0}/x: the same file as --out"),
+        ("--out {0}/log.jsonl", None, "--out {0}/log.jsonl: the same file as LOG"),
+        ("--write-population {0}/tiny.pddl", None, "--write-population {0}/tiny.pddl: the same file as INSTANCE"),
+        ("--out {0}/domain.pddl", None, "--out {0}/domain.pddl: the same file as its domain"),
+        ("--family uniform --json", None, "--family: expected --write-population"),
+        ("--set largest_beta=1e300", None, "largest_beta: 1e+300; expected a number from 1e-09 to 1e+09"),
+        ("--set utility_scale=1e-300", None, "utility_scale: 1e-300; expected a number from 1e-09 to 1e+09"),
+        ("--set eta=-1", None, "eta: -1; expected a number from 0"),
+        ("--set level=2", None, "level: 2; expected a number above 0 and below 1"),
+        ("--drop nosuch", None, "drop nosuch: no action in "),
+        ("--drop nosuch --drop fetch", None, "drop nosuch: no action in "),
+        ("--rename nosuch=fetch", None, "rename nosuch=fetch: no action in "),
+        ("--rename fetch=nosuch", None, "rename fetch=nosuch: no action of the task is called 'nosuch'"),
+        ("--rename fetch=return --rename fetch=place", None, "--rename fetch=place: 'fetch' is renamed already"),
+        ("--rename a", None, "expected OLD=NEW"),
+        ("--columns person", None, "--columns person: expected NAME=COLUMN"),
+        ("--columns person=a,person=b", None, "--columns person=b: 'person' has a column already"),
+        ("--columns worker=person", None, "a log has no column 'worker'; did you mean person=worker?"),
+        ("--columns person=a,action=A", None, "columns action=A: 'A' stands for another column already"),
+        ("--columns person=workr", '{"worker": "a"}', "has no column 'workr'; did you mean 'worker'?"),
+        ("--columns person=who", '{"a": 1, "b": 2}', "has no column 'who'; it has a, b"),
+        ("", "", "log.jsonl: no recorded actions"),
+        ("", SPOILT, "log of another instance?"),
+        ("", "no json", "log.jsonl:1: not JSON"),
+        ("", "[1]", "log.jsonl:1: expected an object"),
     ],
 )
-def test_options_that_cannot_be(tmp_path: Path, options: list[str], words: str) -> None:
+def test_what_cannot_be_is_refused_and_nothing_is_written(
+    tmp_path: Path, options: str, text: str | None, words: str
+) -> None:
     for name in ("tiny.pddl", "domain.pddl"):
         (tmp_path / name).write_text((KITTING / name).read_text())
     file = write_log(tmp_path / "log.jsonl", lines(FETCH, WRONG))
+    if text is not None:
+        file.write_text(text + "\n" * bool(text))
     before = {path.name: path.read_text() for path in tmp_path.iterdir()}
-    arguments = [option.format(tmp_path) for option in options]
+    arguments = options.format(tmp_path).split()
     result = CliRunner().invoke(main, ["fit", str(tmp_path / "tiny.pddl"), str(file), *arguments])
-    assert (result.exit_code, result.stdout) == (2, "")
+    assert (result.exit_code, result.stdout) == (2 if options else 1, "")  # 1 where the log is at fault
     assert words.format(tmp_path) in result.stderr
+    assert "Traceback" not in result.stderr
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
 
 
