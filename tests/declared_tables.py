@@ -12,7 +12,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from assist.declare.declared import annotation_of, bare, default_of, is_declared, names_of, phrase, plain, sentences
+from assist.declare.declared import (
+    View,
+    annotation_of,
+    bare,
+    default_of,
+    is_declared,
+    names_of,
+    phrase,
+    plain,
+    sentences,
+)
 from assist.declare.options import toml
 from assist.live.event_base import Event
 from assist.live.events import kinds
@@ -33,7 +43,9 @@ def renewed(text: str) -> str:
 
 def table(kind: Any) -> str:
     """Return the fields of a declared class, or of an event's kinds: what each is."""
-    return event_table(kind) if isinstance(kind, type) and issubclass(kind, Event) else field_table(kind)
+    if issubclass(kind, View):
+        return markdown_table(("field", "meaning"), [(f"`{name}`", text) for name, text in sentences(kind).items()])
+    return event_table(kind) if issubclass(kind, Event) else field_table(kind)
 
 
 def field_table(kind: Any) -> str:

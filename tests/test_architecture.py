@@ -63,8 +63,9 @@ ROOMS = {
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
     "assist.drawing.plots": "shown_figure style labels episode watched people policies study userstudy",
     "assist.live": """continuations contrast explanation names live_task advice roster seen_suggestions
-        uncertain_actions beliefs live_questions decision_point robot_places decisions knowledge desk event_base events
-        reports record assistant store people_store header history team session simulated_person trace_reasons""",
+        uncertain_actions beliefs live_questions decision_point robot_places decisions knowledge desk views event_base
+        events reports record assistant store people_store header history team session simulated_person
+        trace_reasons""",
     "assist.studies": "study plan_tables protocol tasks cells runner own_code",
     "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
         participant_team roll teams events record cohort session csv_tables tables export

@@ -50,23 +50,9 @@ class Reason(View):
         Field(description=("Interval that contains 90 % of the belief, and its mean.")),
     ]
     suggestions: Annotated[
-        Whole,
-        Field(
-            description=(
-                "Number of suggestions that the person has answered in this task, and number of those that were "
-                "followed."
-            )
-        ),
+        Whole, Field(description="Number of suggestions that the person has answered in this task.")
     ] = 0
-    followed: Annotated[
-        Whole,
-        Field(
-            description=(
-                "Number of suggestions that the person has answered in this task, and number of those that were "
-                "followed."
-            )
-        ),
-    ] = 0
+    followed: Annotated[Whole, Field(description="Number of those that were followed.")] = 0
     follow: Annotated[
         AnyNumber,
         Field(description=("Probability that the person follows this suggestion, under the belief.")),

@@ -11,7 +11,6 @@ without computing a decision again.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -35,6 +34,7 @@ from .live_task import require_usable
 from .names import is_name
 from .record import TeamRecord, without_in_view
 from .roster import Saw
+from .views import GoalAnswer, MemberView, PersonView, RobotView
 
 
 class Team(History[TeamRecord]):
@@ -193,7 +193,7 @@ class Team(History[TeamRecord]):
 
     def person(self, person: str) -> dict[str, Any]:
         """Return a person's view, as JSON."""
-        return self._seen(self._state(person))
+        return PersonView(**self._seen(self._state(person))).as_dict()
 
     def _state(self, person: str) -> PersonState:
         """Return the person's state after the last event; it is cached, as several views show it."""
@@ -205,13 +205,11 @@ class Team(History[TeamRecord]):
         entry = self.desk.entry(known.person)
         return {
             "person": known.person, "task": entry.tasks[-1], "present": known.present, "paused": self.paused,
-            "applicable": list(known.applicable), "suggestion": known.suggestion,
-            "reason": entry.reason.as_dict() if known.suggestion is not None and entry.reason is not None else None,
-            "cost_to_go": _finite(known.cost_to_go), "steps": known.steps, "finished": known.finished,
-            "explained": True, "seq": entry.seq,
-            **({"state_probability": known.states[known.state]} if known.states else {}),
-            **({} if known.question is None else {"question": known.question.as_dict()}),
-            **({} if known.answered is None else {"answered": dict(zip(("goal", "yes"), known.answered, strict=True))}),
+            "applicable": known.applicable, "suggestion": known.suggestion,
+            "reason": None if known.suggestion is None else entry.reason, "cost_to_go": known.cost_to_go,
+            "steps": known.steps, "finished": known.finished, "explained": True, "seq": entry.seq,
+            "state_probability": known.states.get(known.state), "question": known.question,
+            "answered": None if known.answered is None else GoalAnswer(*known.answered),
         }  # fmt: skip
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
@@ -228,15 +226,14 @@ class Team(History[TeamRecord]):
     def entry(self, person: str) -> dict[str, Any]:
         """Return the operator's view of a person, as JSON."""
         known = self._state(person)
-        return self._seen(known) | {
-            "history": [[time, _finite(cost)] for time, cost in self.desk.entry(person).history],
-            "beta": [known.beta.low, known.beta.mean, known.beta.high],
-            "theta": [known.theta.low, known.theta.mean, known.theta.high],
-            "grid": {"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
-            "belief": known.hidden.with_theta(known.belief, "beta").tolist(),
-            **({"goals": dict(known.goals)} if known.goals else {}),
-            **({"sees": sees} if (sees := self.desk.sees(person)) else {}),
-        }
+        return MemberView(
+            **self._seen(known), history=self.desk.entry(person).history,
+            beta=(known.beta.low, known.beta.mean, known.beta.high),
+            theta=(known.theta.low, known.theta.mean, known.theta.high),
+            grid={"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
+            belief=known.hidden.with_theta(known.belief, "beta").tolist(), goals=dict(known.goals),
+            sees=self.desk.sees(person),
+        ).as_dict()  # fmt: skip
 
     def learned(self, person: str) -> Floats | None:
         """Return the belief about a person, shape (B, T), present or not; None if no action was observed.
@@ -270,18 +267,15 @@ class Team(History[TeamRecord]):
         """
         self.desk.require_robot(number)
         here, advice = self.desk.robots[number - 1], self.advices[number - 1]
-        errand: dict[str, Any] = {"person": None, "suggestion": None, "reason": None, "arrived": True}
+        errand: dict[str, Any] = {}
         if not self.paused and advice.person is not None:
-            errand = advice.as_dict()
+            errand = {name: getattr(advice, name) for name in ("person", "suggestion", "reason", "arrived")}
         elif not self.paused and here is not None and self.desk.is_present(here) and self._attends(here) == number - 1:
-            known = self.person(here)
-            if known["suggestion"] is not None:
-                errand |= {"person": here, "suggestion": known["suggestion"], "reason": known["reason"]}
-        errand.pop("question", None)  # which may have been asked some events ago
-        asked = (
-            [one.as_dict() for one in self.desk.questions if self.desk.is_present(one.person)] if number == 1 else []
-        )
-        return {**errand, "location": here, "seq": self.count, **({"questions": asked} if asked else {})}
+            suggestion = self._state(here).suggestion
+            if suggestion is not None:
+                errand = {"person": here, "suggestion": suggestion, "reason": self.desk.entry(here).reason}
+        asked = (one for one in self.desk.questions if self.desk.is_present(one.person)) if number == 1 else ()
+        return RobotView(**errand, location=here, seq=self.count, questions=tuple(asked)).as_dict()
 
     def _attends(self, person: str) -> int:
         """Return the index of the robot that attends to a person with whom one or more robots are."""
@@ -293,7 +287,3 @@ class Team(History[TeamRecord]):
         if task is not None:
             self.desk.require_task(task)
         return [row for row in self.desk.log() if task in (None, row["task"])]
-
-
-def _finite(cost: float) -> float | None:
-    return cost if math.isfinite(cost) else None

@@ -21,7 +21,7 @@ SAID = "said"
 """Type of the errors whose message is a whole sentence."""
 
 
-def event_routes(base: type[Event], views: Mapping[str, type[BaseModel]]) -> APIRouter:
+def event_routes(base: type[Event], views: Mapping[str, type[Any]]) -> APIRouter:
     """Return the requests that report the events below a class.
 
     Parameters
@@ -70,7 +70,7 @@ def _said(body: type[BaseModel], given: Any, checked: ValidatorFunctionWrapHandl
         raise PydanticCustomError(SAID, "{why}", {"why": fault_of(body, error, given)}) from None
 
 
-def _add(router: APIRouter, kind: type[Event], view: type[BaseModel]) -> None:
+def _add(router: APIRouter, kind: type[Event], view: type[Any]) -> None:
     inside, body = inside_path(kind), body_of(kind)
 
     async def take(service: Any, body: Any = None, **given: Any) -> Response:

@@ -12,9 +12,10 @@ from fastapi.responses import JSONResponse
 from ..declare.catalogue import languages
 from ..declare.refusals import AbsentError, Refusal
 from ..live.names import LONGEST_REASON
+from ..live.views import PersonView, RobotView
 from . import cookies
 from .authorization import READ, Desk, Operator, Own, bearer, refusals
-from .schemas import Drawn, Erased, Explained, Health, Me, Person, Reloaded, Robot, Team
+from .schemas import Drawn, Erased, Explained, Health, Me, Reloaded, Team
 from .service import Erasure
 from .task_drawings import Pictures
 from .tokens import Caller
@@ -54,7 +55,7 @@ async def session(request: Request, service: Desk) -> Any:
     return answer
 
 
-@router.get("/api/people/{person}", tags=["people"], response_model=Person, responses=READ)
+@router.get("/api/people/{person}", tags=["people"], response_model=PersonView, responses=READ)
 async def view(person: Own, service: Desk) -> Response:
     """Return a person's view: the applicable actions, the suggestion and its reasons."""
     return plain(service.views[person])
@@ -106,7 +107,7 @@ async def explanation(
     return plain(await asyncio.to_thread(explained))
 
 
-@router.get("/api/robots/{robot}", tags=["robots"], response_model=Robot, responses=refusals(403, 404, 422))
+@router.get("/api/robots/{robot}", tags=["robots"], response_model=RobotView, responses=refusals(403, 404, 422))
 async def instruction(_: Operator, robot: int, service: Desk) -> Response:
     """Return where a robot, by its number from 1, should go and what it should suggest there."""
     robots = service.outlook.robots

@@ -6,9 +6,10 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
-from ..live.advice import Question, Reason
+from ..declare.declared import AnyText, Truth, declared
 from ..live.contrast import Contrast
 from ..live.explanation import WhyNothing, WhyPerson, WhyStep
+from ..live.views import MemberView, RobotView
 
 
 class Erased(BaseModel):
@@ -50,38 +51,6 @@ class Me(BaseModel):
     operator: bool
 
 
-class GoalAnswer(BaseModel):
-    """A person's answer to "is this your goal?"."""
-
-    goal: str
-    yes: bool
-
-
-class Person(BaseModel):
-    """A person's view. `seq` increases with every change.
-
-    `cost_to_go` is null in a dead end, and for participants unless the study shows it.
-    """
-
-    person: str
-    task: str
-    present: bool
-    paused: bool
-    applicable: list[str]
-    suggestion: str | None
-    reason: Reason | None
-    cost_to_go: float | None
-    steps: int
-    finished: bool
-    explained: bool = Field(description="Whether the explanation can be asked for.")
-    seq: int
-    state_probability: float | None = Field(
-        None, description="Probability of the state that is shown, the most probable one, after doubtful actions."
-    )
-    question: Question | None = Field(None, description="The open question to the person, if there is one.")
-    answered: GoalAnswer | None = Field(None, description="The last answer about the goal of this task, if any.")
-
-
 class Wanted(BaseModel):
     """One condition of the goal, in words."""
 
@@ -120,39 +89,13 @@ class Place(BaseModel):
     seq: int
 
 
-class Robot(BaseModel):
-    """Where the robot should be and what it suggests there. `location` is where it is, or where it is going."""
+@declared(kw_only=True)
+class Member(MemberView):
+    """A person of the team as the operator sees them."""
 
-    person: str | None
-    suggestion: str | None
-    reason: Reason | None
-    arrived: bool
-    location: str | None
-    seq: int
-    questions: list[Question] = Field(
-        default_factory=list, description="The open questions, in the first robot's view."
-    )
-
-
-class Member(Person):
-    """The operator's view of a person: interval and mean of beta and theta, and the whole belief.
-
-    `goals` has the probability of each goal, if the person pursues one of several.
-    Participants of a user study are in teams of their own; for them the fields of the belief are omitted.
-    """
-
-    history: list[tuple[float, float | None]] = Field(default_factory=list)
-    beta: tuple[float, float, float] | None = None
-    theta: tuple[float, float, float] | None = None
-    grid: dict[str, list[float]] | None = None
-    belief: list[list[float]] | None = None
-    connected: bool
-    simulated: bool
-    goals: dict[str, float] | None = None
-    sees: dict[str, float] | None = Field(
-        None, description="Whom the person sees being helped, with the weight of each, if that moves theta."
-    )
-    join: str
+    connected: Truth
+    simulated: Truth
+    join: AnyText
 
 
 class Team(BaseModel):
@@ -166,6 +109,6 @@ class Team(BaseModel):
         default_factory=list, description="What keeps events from being saved or delivered, as in `/api/health`."
     )
     tasks: list[str]
-    robots: list[Robot]
+    robots: list[RobotView]
     log: list[dict[str, Any]]
     people: list[Member]

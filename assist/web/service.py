@@ -22,8 +22,6 @@ from functools import partial
 from itertools import chain
 from typing import Any, ClassVar, Protocol
 
-from pydantic import BaseModel
-
 from ..declare.catalogue import Catalogue, catalogue
 from ..declare.refusals import AbsentError, InapplicableError, Refusal
 from ..live.event_base import Event, TeamEvent
@@ -32,8 +30,9 @@ from ..live.explanation import Explanation
 from ..live.history import Outlook
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
+from ..live.views import PersonView, RobotView
 from .measures import Measures
-from .schemas import Person, Place, Robot
+from .schemas import Place
 from .tokens import AccessTokens
 from .watchers import Watcher, streamed
 
@@ -125,7 +124,7 @@ class Service:
     """
 
     events: ClassVar[type[Event]] = TeamEvent
-    shown: ClassVar[Mapping[str, type[BaseModel]]] = {"person": Person, "place": Place, "robot": Robot}
+    shown: ClassVar[Mapping[str, type[Any]]] = {"person": PersonView, "place": Place, "robot": RobotView}
 
     def __init__(
         self, session: Session, access: AccessTokens, *, tick: float = 2.0, connections: int = 64,

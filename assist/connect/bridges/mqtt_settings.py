@@ -10,8 +10,8 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from ...declare.declared import Expected, Number, Place, Text, Texts, Truth, Whole, declared
-from ...web.schemas import Person, Robot
+from ...declare.declared import Expected, Number, Place, Text, Texts, Truth, Whole, declared, names_of
+from ...live.views import PersonView, RobotView
 from .messages import (
     BridgeSettings,
     EventKind,
@@ -29,9 +29,9 @@ ENVIRONMENT = "KITASSIST_MQTT_"
 """Prefix of the environment variables PASSWORD, CA, CERTIFICATE and KEY."""
 
 ADVICE = "person", "suggestion", "finished", "seq"
-VIEW = {*Person.model_fields}
+VIEW = {*names_of(PersonView)}
 ROBOT = "person", "suggestion", "arrived", "seq"
-ERRAND = {*Robot.model_fields}
+ERRAND = {*names_of(RobotView)}
 
 Port = Annotated[Whole, Field(ge=1, le=65535), Expected("a port, 1 to 65535")]
 Seconds = Annotated[Number, Field(gt=0, le=3600), Expected("seconds above 0, at most 3600")]

@@ -22,6 +22,7 @@ from ...live.event_base import Event
 from ...live.explanation import Explanation
 from ...live.history import Change, History
 from ...live.team import Team
+from ...live.views import PersonView, RobotView
 from .assignment import assign
 from .events import Erased, Expired, Onward, Returned, StudyEvent, Vacant, Visited, Withdrew
 from .participant_team import ParticipantTeam
@@ -224,11 +225,7 @@ class Cohort(Teams, History[StudyRecord]):
     def _seen(self, person: str) -> dict[str, Any]:
         who = self.known(person)
         stage, here = self.stages[who.at], who.status in (HERE, DONE)
-        seen: dict[str, Any] = {
-            "person": person, "task": "", "present": here, "paused": False, "applicable": [], "suggestion": None,
-            "reason": None, "cost_to_go": None, "steps": 0, "finished": False, "explained": False,
-        }  # fmt: skip
-        over = False
+        seen, over = PersonView(person=person, present=here).as_dict(), False
         if stage.kind in ("practice", "task") and not who.removed:
             seen, over = self.team_of(who).seen(person) | {"present": here}, self.is_over(who)
             if over:
@@ -279,8 +276,7 @@ class Cohort(Teams, History[StudyRecord]):
 
     def robot(self, number: int = 1) -> dict[str, Any]:  # noqa: ARG002 all say the same
         """Return an instruction without a destination, since each participant's team has a robot of its own."""
-        nobody = {"person": None, "suggestion": None, "reason": None, "arrived": True, "location": None}
-        return {**nobody, "seq": self.count}
+        return RobotView(seq=self.count).as_dict()
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Return all actions in tasks, in the format of `fit`; with `task`, only those in this task."""

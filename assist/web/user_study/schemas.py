@@ -6,7 +6,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..schemas import Person
+from ...declare.declared import declared
+from ...live.views import PersonView
 
 
 class Visit(BaseModel):
@@ -83,7 +84,8 @@ class Progress(BaseModel):
     waiting: Waiting | None = Field(None, description="While the participant waits for a group.")
 
 
-class Participant(Person):
+@declared(kw_only=True)
+class Participant(PersonView):
     """A participant's view: the task, if there is one, and the progress."""
 
     study: Progress

@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any, ClassVar
 from urllib.parse import urlencode
 
-from pydantic import BaseModel
-
 from ...declare.refusals import AbsentError, InapplicableError, Refusal
 from ...live.event_base import Event
+from ...live.views import RobotView
 from ...studies.userstudy.codes import identifier, spelled
 from ...studies.userstudy.cohort import Cohort
 from ...studies.userstudy.events import Elapsed, Expired, Left, Returned, StudyEvent, Visited, Withdrew
@@ -23,7 +22,6 @@ from ...studies.userstudy.plan import WAITING
 from ...studies.userstudy.roll import HERE
 from ...studies.userstudy.session import StudySession
 from ..request_limits import Allowance
-from ..schemas import Robot
 from ..service import Erasure, Service
 from ..tokens import VISITOR, AccessTokens, secret_in
 from ..watchers import Watcher
@@ -72,7 +70,7 @@ class StudyService(Service):
     """
 
     events: ClassVar[type[Event]] = StudyEvent
-    shown: ClassVar[Mapping[str, type[BaseModel]]] = {"person": Participant, "robot": Robot}
+    shown: ClassVar[Mapping[str, type[Any]]] = {"person": Participant, "robot": RobotView}
 
     def __init__(
         self, session: StudySession, access: AccessTokens, *, ticks: bool = True, rehearsal: bool = False,

@@ -9,7 +9,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -152,7 +152,7 @@ def classes() -> Iterator[type]:
         if "import declared" in file.read_text() or ", declared" in file.read_text():
             module = import_module(".".join(file.relative_to(Path(__file__).parents[3]).with_suffix("").parts))
             for _, one in inspect.getmembers(module, inspect.isclass):
-                if is_declared(one) and one.__module__ == module.__name__:
+                if is_declared(one) and is_dataclass(one) and one.__module__ == module.__name__:
                     yield one
 
 

@@ -1,0 +1,94 @@
+"""Views: what is told of a person, and of a robot, to those who may see it. JSON and the HTTP schema follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import field
+from typing import Annotated
+
+from pydantic import Field, SkipValidation
+
+from ..declare.declared import AnyNumber, AnyText, Seldom, Truth, View, Whole, declared
+from .advice import Question, Reason
+
+Rows = Annotated[Sequence[Sequence[float | None]], SkipValidation()]
+"""Rows of numbers, as arrays give them."""
+Interval = tuple[AnyNumber, AnyNumber, AnyNumber]
+
+
+@declared
+class GoalAnswer(View):
+    """A person's answer to "is this your goal?"."""
+
+    goal: AnyText
+    yes: Truth
+
+
+@declared(kw_only=True)
+class PersonView(View):
+    """A person's view."""
+
+    person: Annotated[AnyText, Field(description="The name of the person.")]
+    task: Annotated[AnyText, Field(description="The name of the person's task.")] = ""
+    present: Annotated[Truth, Field(description="Whether the person is in the team.")]
+    paused: Annotated[Truth, Field(description="Whether the robots make no suggestions at present.")] = False
+    applicable: Annotated[tuple[AnyText, ...], Field(description="The actions that are possible now, in PDDL.")] = ()
+    suggestion: Annotated[AnyText | None, Field(description="The open suggestion, in PDDL.")] = None
+    reason: Annotated[Reason | None, Field(description="Why it was made, in numbers.")] = None
+    cost_to_go: Annotated[
+        AnyNumber | None,
+        Field(description="Exact, in cost units; null in a dead end, and for participants unless the study shows it."),
+    ] = None
+    steps: Annotated[Whole, Field(description="Number of the person's actions in this task.")] = 0
+    finished: Annotated[Truth, Field(description="Whether the goal of the task is reached.")] = False
+    explained: Annotated[Truth, Field(description="Whether the explanation can be asked for.")] = False
+    seq: Annotated[
+        Whole, Field(description="Number of the last event that changed the view; the larger of two is newer.")
+    ] = 0
+    state_probability: Annotated[
+        AnyNumber | None, Seldom(),
+        Field(description="Only after doubtful actions: probability of the state that is shown, the likeliest one."),
+    ] = None  # fmt: skip
+    question: Annotated[
+        Question | None, Seldom(), Field(description="Only if one is open: the question to the person.")
+    ] = None
+    answered: Annotated[
+        GoalAnswer | None,
+        Seldom(),
+        Field(description="Only if there is one: the last answer about the goal of the task."),
+    ] = None
+
+
+@declared(kw_only=True)
+class MemberView(PersonView):
+    """The operator's view of a person: interval and mean of beta and theta, and the whole belief.
+
+    `goals` has the probability of each goal, if the person pursues one of several.
+    Participants of a user study are in teams of their own; for them the fields of the belief are omitted.
+    """
+
+    history: Rows
+    beta: Interval
+    theta: Interval
+    grid: Annotated[dict[str, list[float]], SkipValidation()]
+    belief: Rows
+    goals: Annotated[dict[str, AnyNumber], Seldom()] = field(default_factory=dict)
+    sees: Annotated[
+        dict[str, AnyNumber], Seldom(),
+        Field(description="Whom the person sees being helped, with the weight of each, if that moves theta."),
+    ] = field(default_factory=dict)  # fmt: skip
+
+
+@declared(kw_only=True)
+class RobotView(View):
+    """Where the robot should be and what it suggests there. `location` is where it is, or where it is going."""
+
+    person: AnyText | None = None
+    suggestion: AnyText | None = None
+    reason: Reason | None = None
+    arrived: Truth = True
+    location: AnyText | None = None
+    seq: Whole
+    questions: Annotated[
+        tuple[Question, ...], Seldom(), Field(description="The open questions, in the first robot's view.")
+    ] = ()
