@@ -40,7 +40,8 @@ ROOMS = {
         trust_shares pomdp assumptions visiting_robot problem_arrays people_arrays rows problem_rows policy lazy_policy
         archive belief_filter belief_update dynamics_kernel dynamics joint_belief beliefs seen_beliefs hidden_beliefs
         rounding action_values krylov sparse_iteration policy_iteration mdp_values expected_values qmdp solution_cache
-        alpha_vectors upper_hull convex_bound hsvi search memory_needed further_beliefs solver time_expansion
+        alpha_vectors upper_hull convex_bound belief_hulls vector_lists hsvi search memory_needed further_beliefs
+        solver time_expansion
         subproblem_frontier attention_subproblem truncated_task state_cache closed_problem
         growing_problem backups leaf_estimates compliance_relaxation truncated_bound truncated_policy
         person_problem""",

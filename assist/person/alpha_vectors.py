@@ -20,7 +20,7 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from ..people.type_kernels import leave_out_reached
-from .belief_filter import child, split
+from .belief_filter import child, new_parts, split
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
@@ -158,8 +158,7 @@ def _look_ahead(
     """Fill `q`, shape (N, R), with the Q-values of all robot actions; padding is left unchanged."""
     cells = belief.shape[1] * belief.shape[2]
     beliefs, alphas = belief.reshape((len(x), cells)), vectors.reshape((len(vectors), cells))
-    followed, declined, lapsed, after = np.empty(cells), np.empty(cells), np.empty(cells), np.empty(cells)
-    complied, going_on = np.empty(cells) if m.uses_answer else lapsed, np.empty(cells)
+    parts, after, going_on = new_parts(cells, m.uses_answer), np.empty(cells), np.empty(cells)
     for i in range(len(x)):
         s = x[i]
         if m.ends[s]:
@@ -171,10 +170,10 @@ def _look_ahead(
         leave_out_reached(going_on, mass, s, m.goal, m.goal_of)
         for r in range(m.robot_actions[s]):
             q[i, r] = -m.robot_costs[s, r] * mass
-            acting, slot = split(going_on, followed, declined, complied, lapsed, s, r, m)
+            acting, slot = split(parts, going_on, s, r, m)
             if m.ends[acting]:
                 continue
             for a in range(m.counts[acting]):
-                chance = child(after, acting, a, slot, followed, declined, complied, lapsed, m)
+                chance = child(after, acting, a, slot, parts, m)
                 q[i, r] += m.gamma * _best_vector(m.targets[acting, a], after, alphas, first)[0]
                 q[i, r] -= m.costs[acting, a] * chance

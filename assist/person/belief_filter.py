@@ -11,6 +11,8 @@ probability of the choice.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from planner.system.jit import njit
@@ -129,11 +131,24 @@ def update_seen(
                 exclude_reached(belief[i], m.targets[acting, slot], m.goal, m.goal_of)
 
 
+class Parts(NamedTuple):
+    """A belief that is split by the person's answer to a robot action (`split`); each has the shape (H * T,)."""
+
+    followed: Floats
+    declined: Floats
+    complied: Floats
+    lapsed: Floats
+
+
 @njit()
-def split(
-    belief: Floats, followed: Floats, declined: Floats, complied: Floats, lapsed: Floats, x: int, robot: int,
-    m: ProblemArrays,
-) -> tuple[int, int]:  # fmt: skip
+def new_parts(size: int, uses_answer: bool) -> Parts:
+    """Return empty parts. `complied` is the array `lapsed` itself unless the trust rule uses the answer."""
+    lapsed = np.empty(size)
+    return Parts(np.empty(size), np.empty(size), np.empty(size) if uses_answer else lapsed, lapsed)
+
+
+@njit()
+def split(parts: Parts, belief: Floats, x: int, robot: int, m: ProblemArrays) -> tuple[int, int]:
     """Split a belief by the person's answer to a robot action, for the posteriors after all choices.
 
     Let p be the probability of slot a without a suggestion, which depends on the type. After this choice, the
@@ -148,9 +163,9 @@ def split(
 
     Parameters
     ----------
+    parts : Parts
+        They are filled in.
     belief : float array, shape (H * T,)
-    followed, declined, complied, lapsed : float arrays, shape (H * T,)
-        Arrays for the parts. `complied` may be the array `lapsed` itself unless the trust rule uses the answer.
     x, robot : int
         The person's state and the robot action.
     m : ProblemArrays
@@ -161,6 +176,7 @@ def split(
         The state in which the person acts, and the suggested slot.
     """
     thetas = len(m.theta)
+    followed, declined, complied, lapsed = parts
     acting, suggested = m.afterstate[x, robot], m.suggested[x, robot]
     steady, uniform = 1.0 - m.lapse, m.lapse / max(m.counts[acting], 1)
     if suggested < 0:
@@ -168,7 +184,7 @@ def split(
             followed[cell] = declined[cell] = steady * belief[cell]
             complied[cell] = lapsed[cell] = uniform * belief[cell]
         return acting, suggested
-    for part in (followed, declined, complied, lapsed):
+    for part in parts:
         for cell in range(len(part)):
             part[cell] = 0.0
     for cell in range(len(belief)):
@@ -195,16 +211,13 @@ def split(
 
 
 @njit(fastmath=FAST)
-def child(
-    after: Floats, acting: int, slot: int, suggested: int, followed: Floats, declined: Floats, complied: Floats,
-    lapsed: Floats, m: ProblemArrays,
-) -> float:  # fmt: skip
+def child(after: Floats, acting: int, slot: int, suggested: int, parts: Parts, m: ProblemArrays) -> float:
     """Fill in the unnormalised posterior after a choice, shape (H * T,), from a belief's parts; return its mass.
 
     `acting` and `suggested` are what `split` returned.
     """
     thetas, mass = len(m.theta), 0.0
-    influenced, uniform = (followed, complied) if slot == suggested else (declined, lapsed)
+    influenced, uniform = (parts.followed, parts.complied) if slot == suggested else (parts.declined, parts.lapsed)
     for h in range(len(after) // thetas):
         p = m.chosen[acting, slot, h]
         for cell in range(h * thetas, (h + 1) * thetas):

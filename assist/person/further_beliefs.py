@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from . import hsvi
+from . import belief_hulls, hsvi
 from .rounding import compiled as rounding
 from .search import Search, relative_gap
-from .upper_hull import new_program
 
 
 def widen(
@@ -33,17 +32,14 @@ def widen(
     def once() -> None:
         at = 0
         while at < len(states) and search.make_room(memory_limit_mb):
-            at = _upper_backups(at, states, flat, step, search.trial, search.hull, search.q, search.arrays)
+            at = _upper_backups(at, states, flat, step, search.tables)
 
     def gains(i: int) -> bool:
         below, above = search.bounds(int(states[i]), flat[i])
         if relative_gap(below, above) <= gap:
             return False
         fineness[:] = finest
-        hsvi.trials(
-            int(states[i]), flat[i], gap * abs(below), 60, fineness, search.rng, search.trial, search.vectors,
-            search.hull, search.q, search.arrays,
-        )  # fmt: skip
+        hsvi.trials(int(states[i]), flat[i], gap * abs(below), 60, fineness, search.rng, search.tables)
         lower, upper = search.bounds(int(states[i]), flat[i])
         return upper - lower < 0.95 * (above - below)
 
@@ -62,22 +58,22 @@ def widen(
 
 
 @njit(nogil=True)
-def _upper_backups(start, states, beliefs, step, trial, hull, q, m):
+def _upper_backups(start, states, beliefs, step, s):
     """Back up the upper bound at beliefs, shape (N, H), of the given states, from index `start` on.
 
     Improvements up to `step` are not stored. Return where to continue if memory is short.
     """
-    work, room = np.empty((4, beliefs.shape[1])), new_program(beliefs.shape[1])
+    trial, hull, m, room = s.trial, s.hull, s.m, hsvi.new_room(s)
     margin = rounding(beliefs.shape[1] + m.targets.shape[1])
     for i in range(start, len(states)):
         if len(hull.drop) == hull.space[0]:
             return i
         x = states[i]
         trial.state[0] = x
-        hsvi.start_node(hsvi.ZERO, beliefs[i], 1.0, q, trial, m)
+        hsvi.start_node(hsvi.ZERO, beliefs[i], 1.0, s.q, trial, m)
         belief = trial.belief[0]  # given that the goal is none that is reached in x
-        value = trial.q[0, hsvi.most_promising(hsvi.ZERO, work, room, trial, hull, m)]
+        value = trial.q[0, hsvi.most_promising(hsvi.ZERO, room, trial, hull, m)]
         value += 2 * margin * abs(value)
-        if value < hsvi.upper(x, belief, hull, room) - step - 4 * margin * abs(value):
-            hsvi.add_point(x, belief, value, hull)
+        if value < belief_hulls.upper(x, belief, hull, room.program) - step - 4 * margin * abs(value):
+            belief_hulls.add_point(x, belief, value, hull)
     return len(states)

@@ -1,12 +1,8 @@
-"""The compiled search for bounds on one person's problem, and the arrays that it works on.
+"""The compiled search for bounds on one person's problem.
 
-**Upper bound.** Each state has a `UpperHull`: beliefs with known bounds, from which `upper_hull` derives the bound at
-any other. The search uses a few pivots of its linear program, so that the bound is not exactly convex.
-
-**Lower bound.** Each state has `AlphaVectors`: the returns of plans, for each type and theta.
-
-`trials` improves both bounds along sampled paths, and `renew` repeats old backups. `solver` calls them in turn and
-returns the result.
+The upper bound of a state follows from beliefs with known bounds (`belief_hulls`), the lower one from returns of plans
+(`vector_lists`). `trials` improves both along sampled paths, and `renew` repeats old backups. `solver` calls them in
+turn and returns the result.
 """
 
 from __future__ import annotations
@@ -21,65 +17,16 @@ from planner.system.jit import njit
 from ..people.decision import Floats
 from ..people.influence_kernels import influence_factors
 from ..people.type_kernels import leave_out_reached
-from .belief_filter import child, split
+from .belief_filter import Parts, child, new_parts, split
+from .belief_hulls import NONE, UpperHull, add_point, dot, upper
+from .problem_arrays import ProblemArrays
 from .rounding import compiled as rounding
-from .upper_hull import new_program, solve
+from .upper_hull import Program, new_program
+from .vector_lists import AlphaVectors, add_vector, copied, lower
 
 COMPILED_FOR = "bounds on a person's problem: half a minute"
 
-FEW_VECTORS = 32  # length up to which the vector list of a state is not pruned; pruning takes time, long lists too
-NONE = -1
 ZERO, NEITHER = map(np.int64, (0, NONE))  # numba would compile a function again for a literal argument
-# TINY * HUGE is large, so that an entry that is 0 in both beliefs never limits a weight.
-TINY, HUGE = 1e-290, 1e300
-FAST = {"reassoc", "contract", "nsz", "nnan"}
-
-
-class UpperHull(NamedTuple):
-    """Beliefs with upper bounds, as one linked list per state.
-
-    Attributes
-    ----------
-    corner : float array, shape (n, cells)
-        Upper bounds for a known type and theta, a cell: there are H * T of them.
-    belief, inverse : float arrays, shape (capacity, cells)
-        Beliefs of mass 1, and the reciprocal of each entry.
-    drop : float array, shape (capacity,)
-        d_i in `upper_hull`, below 0: the bound at each belief minus corner . belief.
-    state, after : int arrays, shape (capacity,)
-        State of each belief (-1: unused entry), and the next belief of the same state (or the next unused entry).
-    head : int array, shape (n,)
-        First belief of each state.
-    space : int array, shape (2,)
-        Number of entries that have ever been used, and the first unused one among them.
-    """
-
-    corner: Floats
-    belief: Floats
-    inverse: Floats
-    drop: Floats
-    state: NDArray[np.int32]
-    after: NDArray[np.int32]
-    head: NDArray[np.int32]
-    space: NDArray[np.int64]
-
-
-class AlphaVectors(NamedTuple):
-    """Alpha vectors, as one linked list per state.
-
-    A vector that no longer is best anywhere leaves its list, so that the search does not evaluate it. It stays stored
-    (`state`), because the plans of other vectors refer to it.
-    """
-
-    vector: Floats
-    witness: Floats  # belief for which the vector was computed
-    robot: NDArray[np.int32]
-    state: NDArray[np.int32]  # -1: unused entry
-    after: NDArray[np.int32]
-    head: NDArray[np.int32]
-    live: NDArray[np.int64]  # length of each state's list
-    limit: NDArray[np.int64]  # length at which the list is pruned
-    space: NDArray[np.int64]  # number of entries that have ever been used, and the first unused one among them
 
 
 class Trial(NamedTuple):
@@ -97,34 +44,46 @@ class Trial(NamedTuple):
     mass: Floats  # probability of each child
 
 
-def empty_hull(corner: Floats, capacity: int) -> UpperHull:
-    """Return a hull that contains the corners only."""
-    states, size = corner.shape
-    return UpperHull(
-        corner=corner,
-        belief=np.empty((capacity, size)),
-        inverse=np.empty((capacity, size)),
-        drop=np.empty(capacity),
-        state=np.full(capacity, NONE, dtype=np.int32),
-        after=np.full(capacity, NONE, dtype=np.int32),
-        head=np.full(states, NONE, dtype=np.int32),
-        space=np.array([0, NONE]),
-    )
+class Tables(NamedTuple):
+    """What the search reads and writes.
+
+    Attributes
+    ----------
+    m : ProblemArrays
+    q : float array, shape (n, R, cells)
+        Upper bounds on the Q-values for a known type and theta.
+    hull : UpperHull
+    vectors : AlphaVectors
+    trial : Trial
+    """
+
+    m: ProblemArrays
+    q: Floats
+    hull: UpperHull
+    vectors: AlphaVectors
+    trial: Trial
 
 
-def empty_vectors(states: int, size: int, capacity: int) -> AlphaVectors:
-    """Return empty vector lists; each vector has `size` entries."""
-    return AlphaVectors(
-        vector=np.empty((capacity, size)),
-        witness=np.empty((capacity, size)),
-        robot=np.zeros(capacity, dtype=np.int32),
-        state=np.full(capacity, NONE, dtype=np.int32),
-        after=np.full(capacity, NONE, dtype=np.int32),
-        head=np.full(states, NONE, dtype=np.int32),
-        live=np.zeros(states, dtype=np.int64),
-        limit=np.full(states, FEW_VECTORS),
-        space=np.array([0, NONE]),
-    )
+class Room(NamedTuple):
+    """Work arrays of a search.
+
+    Attributes
+    ----------
+    parts : Parts
+        Those of the belief that is looked at.
+    program : Program
+        Room of the linear program of an upper bound.
+    picked, kept : int arrays, shape (A,)
+        The best vector after each slot, for a robot action and for the best one so far.
+    vector : float array, shape (cells,)
+        The new vector.
+    """
+
+    parts: Parts
+    program: Program
+    picked: NDArray[np.int64]
+    kept: NDArray[np.int64]
+    vector: Floats
 
 
 def new_trial(depth: int, size: int, robots: int, slots: int) -> Trial:
@@ -146,14 +105,12 @@ def new_trial(depth: int, size: int, robots: int, slots: int) -> Trial:
     )
 
 
-# Reassociation lets the compiler vectorise the sums. The margin of each backup covers its effect on rounding.
-@njit(fastmath=FAST)
-def dot(a, b):
-    """Return a . b."""
-    total = 0.0
-    for i in range(len(a)):
-        total += a[i] * b[i]
-    return total
+@njit()
+def new_room(s):
+    """Return the work arrays of a search."""
+    size, slots = s.hull.corner.shape[1], s.m.targets.shape[1]
+    picked, kept = np.empty(slots, np.int64), np.empty(slots, np.int64)
+    return Room(new_parts(size, s.m.uses_answer), new_program(size), picked, kept, np.empty(size))
 
 
 # Whole-array forms (a[:] = b, (a <= b).all(), a / b) take several times as long to compile. Each calling function would
@@ -166,213 +123,30 @@ def _fill(a, value):
 
 
 @njit()
-def _copy(a, b):
-    """Copy b into a."""
-    for i in range(len(a)):
-        a[i] = b[i]
-
-
-@njit()
-def _dominated(a, b):
-    """Return whether a <= b in all entries."""
-    for i in range(len(a)):  # noqa: SIM110  numba has no generator expressions
-        if not a[i] <= b[i]:
-            return False
-    return True
-
-
-@njit(fastmath=FAST)
-def _largest_weight(belief, inverse, enough):
-    """Return the largest w with w * stored <= belief, where `inverse` holds 1 / stored.
-
-    The result is some number below `enough` as soon as the weight is known to be smaller than that.
-    """
-    size, at, share = len(belief), 0, HUGE
-    while at < size:
-        end = min(at + 12, size)
-        for h in range(at, end):
-            share = min(share, (belief[h] + TINY) * inverse[h])
-        if share < enough:
-            return share
-        at = end
-    return share
-
-
-@njit()
-def upper(x, belief, hull, room):
-    """Return the upper bound of a state at an unnormalised belief.
-
-    A belief is a candidate for further pivots if its own weight could lower the bound by at least half as much as the
-    best belief does. Smaller contributions cost more time than they improve the bound.
-    """
-    drop, inverse, after = hull.drop, hull.inverse, hull.after
-    base = dot(hull.corner[x], belief)
-    best, count = 0.0, 0
-    i = hull.head[x]
-    while i >= 0:
-        share = _largest_weight(belief, inverse[i], 0.5 * best / drop[i])
-        worth = drop[i] * share
-        if worth < 0.5 * best and count < len(room.share):
-            room.column[count], room.share[count] = i, share
-            count += 1
-        best = min(best, worth)
-        i = after[i]
-    if count < 2:
-        return base + best
-    worth = 0.0
-    # More pivots would tighten the bound, but the search does more backups with cheap bounds.
-    for j in range(solve(belief, hull.belief, drop, count, 1e-3 * best, np.int64(5), room)):
-        worth += room.weight[j] * drop[room.used[j]]
-    return base + min(best, worth)
-
-
-@njit()
-def add_point(x, belief, value, hull):
-    """Add a bound at a belief of mass 1 to the hull, and remove the beliefs that it makes redundant.
-
-    A stored belief is redundant if the new one alone gives at least as low a bound there.
-    """
-    after, head, space, drops, inverse, state = hull.after, hull.head, hull.space, hull.drop, hull.inverse, hull.state
-    drop = value + rounding(len(belief)) * abs(value) - dot(hull.corner[x], belief)
-    if drop >= 0.0:
-        return
-    new = space[1]
-    if new >= 0:
-        space[1] = after[new]
-    else:
-        new = space[0]
-        space[0] += 1
-    for h in range(len(belief)):
-        hull.belief[new, h] = belief[h]
-        inverse[new, h] = 1.0 / belief[h] if belief[h] > 1e-200 else HUGE
-    drops[new], state[new] = drop, x
-    before, i = NONE, head[x]
-    while i >= 0:
-        following = after[i]
-        needed = drops[i] / drop
-        if _largest_weight(hull.belief[i], inverse[new], needed) >= needed:
-            if before >= 0:
-                after[before] = following
-            else:
-                head[x] = following
-            after[i], state[i], space[1] = space[1], NONE, i
-        else:
-            before = i
-        i = following
-    after[new], head[x] = head[x], new
-
-
-@njit()
-def lower(x, belief, vectors):
-    """Return the lower bound at an unnormalised belief, and the vector that attains it."""
-    best, at = -np.inf, NONE
-    i = vectors.head[x]
-    while i >= 0:
-        value = dot(vectors.vector[i], belief)
-        if value > best:
-            best, at = value, i
-        i = vectors.after[i]
-    return best, at
-
-
-@njit()
-def add_vector(x, robot, vector, belief, vectors):
-    """Add an alpha vector, computed for a belief, to a state, and remove the vectors that it dominates pointwise."""
-    after, head, space, live = vectors.after, vectors.head, vectors.space, vectors.live
-    before, i = NONE, head[x]
-    while i >= 0:
-        following = after[i]
-        if _dominated(vectors.vector[i], vector):
-            if before >= 0:
-                after[before] = following
-            else:
-                head[x] = following
-            after[i], vectors.state[i], space[1] = space[1], NONE, i
-            live[x] -= 1
-        else:
-            before = i
-        i = following
-    i = space[1]
-    if i >= 0:
-        space[1] = after[i]
-    else:
-        i = space[0]
-        space[0] += 1
-    _copy(vectors.vector[i], vector)
-    _copy(vectors.witness[i], belief)
-    vectors.robot[i], vectors.state[i] = robot, x
-    after[i], head[x] = head[x], i
-    live[x] += 1
-    if live[x] > vectors.limit[x]:
-        _prune(x, vectors)
-        vectors.limit[x] = max(FEW_VECTORS, 2 * live[x])
-
-
-@njit()
-def _prune(x, vectors):
-    """Keep only those vectors of a state's list that are best at a witness belief of one of them."""
-    after, head = vectors.after, vectors.head
-    useful = np.zeros(vectors.live[x], dtype=np.bool_)
-    i = head[x]
-    while i >= 0:
-        best, at = -np.inf, 0
-        k, j = 0, head[x]
-        while j >= 0:
-            value = dot(vectors.vector[j], vectors.witness[i])
-            if value > best:
-                best, at = value, k
-            k, j = k + 1, after[j]
-        useful[at] = True
-        i = after[i]
-    before, k, i, kept = NONE, 0, head[x], 0
-    while i >= 0:
-        following = after[i]
-        if useful[k]:
-            before = i
-            kept += 1
-        elif before >= 0:
-            after[before] = following
-        else:
-            head[x] = following
-        k, i = k + 1, following
-    vectors.live[x] = kept
-
-
-@njit()
-def add_vectors(value, robot, belief, vectors):
-    """Add one vector to each state."""
-    for x in range(len(value)):
-        add_vector(x, robot[x], value[x], belief, vectors)
-
-
-@njit()
-def _expand_children(d, r, work, trial, m):
+def _expand_children(d, r, parts, trial, m):
     """Fill in the posteriors after a robot action and each slot; return the state in which the person acts."""
-    x = trial.state[d]
-    complied = work[3] if m.uses_answer else work[2]
-    acting, slot = split(trial.belief[d], work[0], work[1], complied, work[2], x, r, m)
+    acting, slot = split(parts, trial.belief[d], trial.state[d], r, m)
     if not m.ends[acting]:
         for a in range(m.counts[acting]):
-            trial.mass[d, r, a] = child(trial.after[d, r, a], acting, a, slot, work[0], work[1], complied, work[2], m)
+            trial.mass[d, r, a] = child(trial.after[d, r, a], acting, a, slot, parts, m)
     return acting
 
 
 @njit()
-def _bound_above(d, r, work, room, trial, hull, m):
+def _bound_above(d, r, room, trial, hull, m):
     """Compute an upper bound on the Q-value of a robot action from the bounds of its children."""
-    x = trial.state[d]
-    value = -m.robot_costs[x, r]
-    acting = _expand_children(d, r, work, trial, m)
+    value = -m.robot_costs[trial.state[d], r]
+    acting = _expand_children(d, r, room.parts, trial, m)
     if not m.ends[acting]:
         for a in range(m.counts[acting]):
-            trial.child[d, r, a] = upper(m.targets[acting, a], trial.after[d, r, a], hull, room)
+            trial.child[d, r, a] = upper(m.targets[acting, a], trial.after[d, r, a], hull, room.program)
             value += m.gamma * trial.child[d, r, a] - m.costs[acting, a] * trial.mass[d, r, a]
     trial.q[d, r] = min(trial.q[d, r], value)
     trial.known[d, r] = True
 
 
 @njit()
-def most_promising(d, work, room, trial, hull, m):
+def most_promising(d, room, trial, hull, m):
     """Return the robot action with the largest upper bound, and evaluate the children of as few as possible."""
     robots = m.robot_actions[trial.state[d]]
     while True:
@@ -382,36 +156,37 @@ def most_promising(d, work, room, trial, hull, m):
                 r = k
         if trial.known[d, r]:
             return r
-        _bound_above(d, r, work, room, trial, hull, m)
+        _bound_above(d, r, room, trial, hull, m)
 
 
 @njit()
-def _bound_below(d, r, work, trial, picked, vectors, m):
+def _bound_below(d, r, room, trial, vectors, m):
     """Compute a lower bound on the Q-value of a robot action, and fill in the best vector after each slot."""
     x = trial.state[d]
     value = -m.robot_costs[x, r]
-    acting = m.afterstate[x, r] if trial.known[d, r] else _expand_children(d, r, work, trial, m)
+    acting = m.afterstate[x, r] if trial.known[d, r] else _expand_children(d, r, room.parts, trial, m)
     if not m.ends[acting]:
         for a in range(m.counts[acting]):
-            v, picked[a] = lower(m.targets[acting, a], trial.after[d, r, a], vectors)
+            v, room.picked[a] = lower(m.targets[acting, a], trial.after[d, r, a], vectors)
             value += m.gamma * v - m.costs[acting, a] * trial.mass[d, r, a]
     return value
 
 
 @njit()
-def _backup_vector(x, r, picked, vector, vectors, m):
-    """Fill in the alpha vector of a robot action that is followed by the picked vectors.
+def _backup_vector(x, r, room, vectors, m):
+    """Fill in the alpha vector of a robot action that is followed by the vectors that were kept.
 
     The margin `rounding` moves each entry downwards, so that the vector is a lower bound in floating-point arithmetic
     too.
     """
-    thetas = len(m.theta)
+    vector, thetas = room.vector, len(m.theta)
     acting, slot = m.afterstate[x, r], m.suggested[x, r]
     if m.ends[acting]:
         _fill(vector, -m.robot_costs[x, r])
         return
     count, margin = m.counts[acting], rounding(m.targets.shape[1])
     declined, mean, followed, complied = np.empty(thetas), np.empty(thetas), np.empty(thetas), np.empty(thetas)
+    parts = Parts(followed, declined, complied, mean)
     for h in range(len(vector) // thetas):
         part = vector[h * thetas : (h + 1) * thetas]
         if m.goal[m.goal_of[h], acting]:
@@ -422,7 +197,7 @@ def _backup_vector(x, r, picked, vector, vectors, m):
         _fill(followed, 0.0)
         _fill(complied, 0.0)
         for a in range(count):
-            p, c, i = m.chosen[acting, a, h], m.costs[acting, a], picked[a]
+            p, c, i = m.chosen[acting, a, h], m.costs[acting, a], room.kept[a]
             for t in range(thetas):
                 u = m.gamma * vectors.vector[i, h * thetas + t] - c
                 if a == slot:
@@ -436,17 +211,18 @@ def _backup_vector(x, r, picked, vector, vectors, m):
         for t in range(thetas):
             v = (1.0 - m.lapse) * declined[t] + m.lapse * mean[t]
             if slot >= 0:
-                v = _entry_after_suggestion(followed, declined, complied, mean, x, r, h, t, m)
+                v = _entry_after_suggestion(parts, x, r, h, t, m)
             v -= m.robot_costs[x, r]
             part[t] = v - margin * abs(v)
 
 
 @njit()
-def _entry_after_suggestion(followed, declined, complied, mean, x, r, h, t, m):
+def _entry_after_suggestion(parts, x, r, h, t, m):
     """Return the entry of an alpha vector at type h and theta t after a suggestion, which influences and moves theta.
 
     This is the transpose of `belief_filter.split`.
     """
+    followed, declined, complied, mean = parts
     g = m.goal_of[h]
     slot, at, up = m.suggested[x, r], m.low[x, r, g, t], m.weight[x, r, g, t]
     follow_factor, decline_factor = influence_factors(m.theta[t], m.chosen[x, slot, h], m.unsuggested[x, r, h])
@@ -464,21 +240,20 @@ def _entry_after_suggestion(followed, declined, complied, mean, x, r, h, t, m):
 
 
 @njit()
-def _backup_lower(d, step, work, trial, backup, vectors, m):
+def _backup_lower(d, step, room, trial, vectors, m):
     """Back up the lower bound at one depth of the trial; return whether it improved by more than `step`."""
     x, belief = trial.state[d], trial.belief[d]
-    picked, kept, vector = backup
     best, robot = -np.inf, NEITHER
     for r in range(m.robot_actions[x]):
         if trial.q[d, r] > best:
-            value = _bound_below(d, r, work, trial, picked, vectors, m)
+            value = _bound_below(d, r, room, trial, vectors, m)
             if value > best:
                 best, robot = value, r
-                _copy(kept, picked)
+                copied(room.kept, room.picked)
     if not best > lower(x, belief, vectors)[0] + step + 4 * rounding(len(belief) + m.targets.shape[1]) * abs(best):
         return False
-    _backup_vector(x, robot, kept, vector, vectors, m)
-    add_vector(x, robot, vector, belief, vectors)
+    _backup_vector(x, robot, room, vectors, m)
+    add_vector(x, robot, room.vector, belief, vectors)
     return True
 
 
@@ -489,7 +264,7 @@ def start_node(d, belief, mass, q, trial, m):
     The belief is conditioned on the fact that the person goes on. Return the mass of the rest.
     """
     x, own = trial.state[d], trial.belief[d]
-    _copy(own, belief)
+    copied(own, belief)
     mass = leave_out_reached(own, mass, x, m.goal, m.goal_of)
     for h in range(len(own)):
         own[h] = own[h] / mass if mass > 0.0 else 0.0
@@ -499,7 +274,7 @@ def start_node(d, belief, mass, q, trial, m):
 
 
 @njit(nogil=True)
-def trials(x0, prior, enough, backups, fineness, rng, trial, vectors, hull, q, m):
+def trials(x0, prior, enough, backups, fineness, rng, s):
     """Run trials to tighten both bounds at the initial belief; return the number of backups.
 
     The search stops when the gap is at most `enough`, when memory is short, or after `backups` backups.
@@ -518,20 +293,18 @@ def trials(x0, prior, enough, backups, fineness, rng, trial, vectors, hull, q, m
     that gap. A trial without an improvement multiplies one of them by a factor: entry 1 by 0.1 if it has cut off
     children, otherwise entry 0 by 0.98.
     """
-    work, room = np.empty((4, len(prior))), new_program(len(prior))
-    # the vectors picked after each slot, those picked for the best robot action, and the new vector
-    slots, done = m.targets.shape[1], 0
-    backup = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(len(prior))
+    trial, vectors, hull = s.trial, s.vectors, s.hull
+    room, done = new_room(s), 0
     while done < backups:
-        trial.bound[0] = upper(x0, prior, hull, room)
+        trial.bound[0] = upper(x0, prior, hull, room.program)
         gap = trial.bound[0] - lower(x0, prior, vectors)[0]
         short = min(len(vectors.robot) - vectors.space[0], len(hull.drop) - hull.space[0]) < len(trial.state)
         if gap <= enough or short:
             break
         trial.state[0] = x0
-        start_node(ZERO, prior, 1.0, q, trial, m)
-        depth, target, cut = _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m)
-        if not _ascend(depth, target, fineness, work, room, backup, trial, vectors, hull, m):
+        start_node(ZERO, prior, 1.0, s.q, trial, s.m)
+        depth, target, cut = _descend(gap, fineness, rng, room, s)
+        if not _ascend(depth, target, fineness, room, s):
             if cut:
                 fineness[1] *= 0.1
             else:
@@ -541,15 +314,16 @@ def trials(x0, prior, enough, backups, fineness, rng, trial, vectors, hull, q, m
 
 
 @njit()
-def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
+def _descend(gap, fineness, rng, room, s):
     """Follow a trial from its first node on; return its depth, its target there, and whether it has cut off children.
 
     The arguments are those of `trials`.
     """
+    trial, m = s.trial, s.m
     depth, target, reach, cut = ZERO, 0.2 * gap, 1.0, False
     while True:
         x = trial.state[depth]
-        r = most_promising(depth, work, room, trial, hull, m)
+        r = most_promising(depth, room, trial, s.hull, m)
         trial.robot[depth] = r
         acting = m.afterstate[x, r]
         if m.ends[acting] or depth + 1 == len(trial.state):
@@ -561,7 +335,7 @@ def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
             y = m.targets[acting, a]
             if m.ends[y]:
                 continue
-            apart = trial.child[depth, r, a] - lower(y, trial.after[depth, r, a], vectors)[0]
+            apart = trial.child[depth, r, a] - lower(y, trial.after[depth, r, a], s.vectors)[0]
             excess = apart - target * trial.mass[depth, r, a]
             if excess > 0.0 and reach * apart < fineness[1] * gap:
                 cut = True
@@ -574,7 +348,7 @@ def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
             break
         depth += 1
         trial.state[depth] = m.targets[acting, chosen]
-        chance = start_node(depth, trial.after[depth - 1, r, chosen], trial.mass[depth - 1, r, chosen], q, trial, m)
+        chance = start_node(depth, trial.after[depth - 1, r, chosen], trial.mass[depth - 1, r, chosen], s.q, trial, m)
         trial.chance[depth - 1] = chance
         trial.bound[depth] = trial.child[depth - 1, r, chosen] / chance
         reach *= chance
@@ -582,41 +356,40 @@ def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
 
 
 @njit()
-def _ascend(depth, target, fineness, work, room, backup, trial, vectors, hull, m):
+def _ascend(depth, target, fineness, room, s):
     """Back up both bounds from the last node of a trial to its first; return whether one has improved."""
+    trial, hull, m = s.trial, s.hull, s.m
     improved, lowered = False, 0.0
     margin = rounding(hull.corner.shape[1] + m.targets.shape[1])
     for d in range(depth, -1, -1):
         x, belief = trial.state[d], trial.belief[d]
         trial.q[d, trial.robot[d]] -= m.gamma * trial.chance[d] * lowered if d < depth else 0.0
-        value = trial.q[d, most_promising(d, work, room, trial, hull, m)]
+        value = trial.q[d, most_promising(d, room, trial, hull, m)]
         value += margin * abs(value)
         step = fineness[0] * target
         target *= m.gamma
         lowered = 0.0
         if value < trial.bound[d] - step - 4 * margin * abs(value):
             # Pivots stop early, so that the bound of the belief with another mass may differ a little.
-            now = upper(x, belief, hull, room)
+            now = upper(x, belief, hull, room.program)
             if value < now - step - 4 * margin * abs(value):
                 add_point(x, belief, value, hull)
                 improved = True
             lowered = trial.bound[d] - min(value, now)
-        improved |= _backup_lower(d, step, work, trial, backup, vectors, m)
+        improved |= _backup_lower(d, step, room, trial, s.vectors, m)
     return improved
 
 
 @njit(nogil=True)
-def renew(start, order, step, backups, trial, vectors, hull, q, m):
+def renew(start, order, step, backups, s):
     """Repeat the backup of every belief of the hull and of every listed vector, from the state `order[start]` on.
 
     The result of a trial depends on the bounds of that time, and later trials pass few of the same beliefs. The
     function stops after `backups` backups, or if memory is short. Return where to continue, and the number of backups.
     """
-    size = hull.corner.shape[1]
-    work, room = np.empty((4, size)), new_program(size)
-    slots, done = m.targets.shape[1], 0
-    margin = 2 * rounding(size + slots)
-    backup = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(size)
+    trial, vectors, hull, q, m = s.trial, s.vectors, s.hull, s.q, s.m
+    room, done = new_room(s), 0
+    margin = 2 * rounding(hull.corner.shape[1] + s.m.targets.shape[1])
     for at in range(start, len(order)):
         x = order[at]
         if hull.head[x] == NONE:  # no trial has visited the state
@@ -629,7 +402,7 @@ def renew(start, order, step, backups, trial, vectors, hull, q, m):
         while i >= 0:
             belief = hull.belief[i]
             start_node(ZERO, belief, 1.0, q, trial, m)
-            value = trial.q[0, most_promising(ZERO, work, room, trial, hull, m)]
+            value = trial.q[0, most_promising(ZERO, room, trial, hull, m)]
             value += margin * abs(value)
             hull.drop[i] = min(hull.drop[i], value - dot(hull.corner[x], belief))
             i = hull.after[i]
@@ -641,6 +414,6 @@ def renew(start, order, step, backups, trial, vectors, hull, q, m):
             if vectors.state[i] != x:  # an earlier backup in this loop has removed the vector
                 continue
             start_node(ZERO, vectors.witness[i], 1.0, q, trial, m)
-            _backup_lower(ZERO, step, work, trial, backup, vectors, m)
+            _backup_lower(ZERO, step, room, trial, vectors, m)
             done += 1
     return len(order), done

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..people.arguments import whole
 from ..people.decision import Floats
-from . import hsvi
+from . import belief_hulls, hsvi, vector_lists
 from .mdp_values import evaluate, sweep_order
 from .policy_iteration import rounding_error
 from .pomdp import AssistPOMDP
@@ -69,8 +69,8 @@ class Search:
         margin = np.where(known, 0.0, 2 * rounding_error(best.value_mdp, self.arrays))
         corner = (best.value_mdp + margin).reshape(states, size)
         self.q = (best.q_mdp + margin[:, None]).reshape(states, -1, size)
-        self.hull = hsvi.empty_hull(corner, 2 * options.depth)
-        self.vectors = hsvi.empty_vectors(states, size, 4 * states + 2 * options.depth)
+        self.hull = belief_hulls.empty_hull(corner, 2 * options.depth)
+        self.vectors = vector_lists.empty_vectors(states, size, 4 * states + 2 * options.depth)
         robots, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
         self.trial = hsvi.new_trial(options.depth, size, robots, slots)
         order = np.concatenate([sweep_order(pomdp, goal) for goal in range(len(pomdp.final))])
@@ -147,7 +147,7 @@ class Search:
     def begin(self, robot: NDArray[np.int64], deadline: float = math.inf, max_sweeps: int | None = None) -> float:
         """Add the vectors of a policy that depends on x only; return a lower bound on its value at the root."""
         value = evaluate(self.pomdp, robot, deadline=deadline, max_sweeps=max_sweeps).reshape(len(robot), -1)
-        hsvi.add_vectors(value, robot, _own(self.pomdp.prior), self.vectors)
+        vector_lists.add_vectors(value, robot, _own(self.pomdp.prior), self.vectors)
         there = float((value[self.root] * self.prior).sum())
         there -= rounding(2 * len(self.prior)) * abs(there)
         self.lower = max(self.lower, there)  # other sums of the same numbers may be lower by rounding
@@ -156,8 +156,8 @@ class Search:
     def bounds(self, x: int, belief: Floats) -> tuple[float, float]:
         """Return the lower and upper bound at a belief."""
         belief = _own(belief)
-        lower, _ = hsvi.lower(x, belief, self.vectors)
-        upper = hsvi.upper(x, belief, self.hull, new_program(len(belief)))
+        lower, _ = vector_lists.lower(x, belief, self.vectors)
+        upper = belief_hulls.upper(x, belief, self.hull, new_program(len(belief)))
         margin = rounding(2 * len(belief))  # the upper bound sums over cells, and over as many stored beliefs
         return lower - margin * abs(lower), upper + margin * abs(upper)
 
@@ -184,9 +184,14 @@ class Search:
                 new = np.empty((2 * capacity, *old.shape[1:]), dtype=old.dtype)
                 new[:capacity] = old
                 store = store._replace(**{field: new})
-            store.state[capacity:] = hsvi.NONE
+            store.state[capacity:] = belief_hulls.NONE
             setattr(self, name, store)
         return True
+
+    @property
+    def tables(self) -> hsvi.Tables:
+        """What the compiled search reads and writes."""
+        return hsvi.Tables(self.arrays, self.q, self.hull, self.vectors, self.trial)
 
     def memory(self) -> int:
         """Return the memory of vectors and beliefs in bytes."""
@@ -212,18 +217,14 @@ class Search:
 
         Improvements up to `step` add no vector.
         """
-        self.renewed, done = hsvi.renew(
-            self.renewed, self.order, step, self.options.backups_per_check, self.trial, self.vectors, self.hull,
-            self.q, self.arrays,
-        )  # fmt: skip
+        self.renewed, done = hsvi.renew(self.renewed, self.order, step, self.options.backups_per_check, self.tables)
         return done
 
     def trials(self, x: int, belief: Floats, target: float) -> int:
         """Improve the bounds by some trials; return the number of backups."""
         return hsvi.trials(
-            x, _own(belief), target, self.options.backups_per_check, self.fineness, self.rng, self.trial, self.vectors,
-            self.hull, self.q, self.arrays,
-        )  # fmt: skip
+            x, _own(belief), target, self.options.backups_per_check, self.fineness, self.rng, self.tables
+        )
 
 
 def _own(belief: Floats) -> Floats:

@@ -89,8 +89,9 @@ def test_every_step_of_a_problem_is_that_of_the_equations(
         ahead = policy.q_values(np.array([x]), belief[None])[0]
         for r in range(problem.robot_actions[x]):
             chance, theta = response(problem, x, r), moves(problem, x, r)
-            told, other, lapsed, child = (np.empty(problem.prior.size) for _ in range(4))
-            place, slot = belief_filter.split(belief.reshape(-1), told, other, lapsed, lapsed, x, r, arrays)
+            child = np.empty(problem.prior.size)
+            parts = belief_filter.new_parts(problem.prior.size, arrays.uses_answer)
+            place, slot = belief_filter.split(parts, belief.reshape(-1), x, r, arrays)
             expected, gained = np.zeros(problem.grid.shape), 0.0
             for a in slots.tolist():
                 y = choices.targets[x, a]
@@ -98,7 +99,7 @@ def test_every_step_of_a_problem_is_that_of_the_equations(
                 likelihood = problem.likelihood(state, robot, action)[0]
                 np.testing.assert_allclose(likelihood, chance[:, :, a], rtol=1e-12, atol=1e-300)
                 joint = (belief * chance[:, :, a]) @ theta
-                mass = belief_filter.child(child, place, a, slot, told, other, lapsed, lapsed, arrays)
+                mass = belief_filter.child(child, place, a, slot, parts, arrays)
                 np.testing.assert_allclose(child.reshape(joint.shape), joint, rtol=1e-11, atol=1e-280)
                 np.testing.assert_allclose(mass, joint.sum(), rtol=1e-11, atol=1e-280)
                 if joint.sum() > 1e-250:

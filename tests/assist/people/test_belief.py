@@ -20,7 +20,7 @@ from assist.people.ranges import Population
 from assist.people.real_people import advice_takers
 from assist.people.spread import Spread
 from assist.people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
-from assist.person.belief_filter import child, posterior, split
+from assist.person.belief_filter import child, new_parts, posterior, split
 from assist.person.belief_filter import update as compiled_update
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
@@ -404,15 +404,14 @@ def test_compiled_filters_are_the_equations(
     belief = rng.dirichlet(np.full(pomdp.prior.size, 0.3))
     belief[(rng.random(len(belief)) < 0.2) & (belief < belief.max())] = 0.0
     belief /= belief.sum()
-    parts = np.empty((4, len(belief)))
-    followed, declined, lapsed, complied = parts[0], parts[1], parts[2], parts[3 if m.uses_answer else 2]
-    acting, suggested = split(belief, followed, declined, complied, lapsed, x, robot, m)
+    parts = new_parts(len(belief), m.uses_answer)
+    acting, suggested = split(parts, belief, x, robot, m)
     if tiny_choices.goal[acting]:
         return
     for slot in range(int(m.counts[acting])):
         one, of_all = np.empty_like(belief), np.empty_like(belief)
         mass = posterior(belief, one, x, robot, slot, m)
-        same = child(of_all, acting, slot, suggested, followed, declined, complied, lapsed, m)
+        same = child(of_all, acting, slot, suggested, parts, m)
         assert same == pytest.approx(mass, rel=1e-12)
         at = tuple(np.array([each]) for each in (x, robot, slot))
         likelihood = pomdp.likelihood(*at)[0].ravel()

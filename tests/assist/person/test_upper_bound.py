@@ -10,7 +10,7 @@ from hypothesis import given
 from scipy.optimize import linprog
 from solved import NAMES, few, seeds, solution_of, some_beliefs
 
-from assist.person import convex_bound, hsvi
+from assist.person import belief_hulls, convex_bound
 from assist.person.problem_arrays import read_only
 from assist.person.solver import Solution
 from assist.person.upper_hull import new_program
@@ -94,15 +94,15 @@ def test_upper_bound_holds_wherever_the_pivots_end(seed: int) -> None:
 
 
 @cache
-def searched(name: str) -> hsvi.UpperHull:
+def searched(name: str) -> belief_hulls.UpperHull:
     """The points of a solution in the form that the search works with."""
     solution = solution_of(name)
     size = solution.pomdp.prior.size
-    hull = hsvi.empty_hull(solution.corner.reshape(-1, size).copy(), len(solution.drop) + 1)
+    hull = belief_hulls.empty_hull(solution.corner.reshape(-1, size).copy(), len(solution.drop) + 1)
     for x in range(len(solution.corner)):
         corner, point, drop = of_state(solution, x)
         for b, d in zip(point, drop, strict=True):
-            hsvi.add_point(x, b.copy(), float(corner @ b + d), hull)
+            belief_hulls.add_point(x, b.copy(), float(corner @ b + d), hull)
     return hull
 
 
@@ -115,7 +115,7 @@ def test_search_works_with_a_bound_between_the_convex_hull_and_the_sawtooth(name
     x, belief = some_beliefs(solution, seed, 10)
     for y, b in zip(x, belief.reshape(len(x), -1), strict=True):
         least, most = hull_and_sawtooth(*of_state(solution, y), b)
-        upper = hsvi.upper(int(y), b, hull, new_program(b.size))
+        upper = belief_hulls.upper(int(y), b, hull, new_program(b.size))
         assert least - 1e-7 * abs(least) <= upper <= most + 1e-9 * abs(most)
 
 
@@ -123,9 +123,9 @@ def test_weights_of_the_search_are_checked() -> None:
     """A belief's entry of 1e-13 is too small for the pivots, and yet decides how much weight the second point has."""
     point, drop, corner = np.array([[0.9, 0.1, 0.0], [0.1, 0.9, 5e-13]]), np.array([-1.0, -1.0]), np.full(3, -5.0)
     belief = np.array([0.5, 0.5, 1e-13])
-    hull = hsvi.empty_hull(corner[None], 3)
+    hull = belief_hulls.empty_hull(corner[None], 3)
     for b, d in zip(point, drop, strict=True):
-        hsvi.add_point(0, b, float(corner @ b + d), hull)
+        belief_hulls.add_point(0, b, float(corner @ b + d), hull)
     least, most = hull_and_sawtooth(corner, point, drop, belief)
     assert least == pytest.approx(-5 - 0.2 - 0.48 / 0.9)  # the second point cannot have more than 0.2
-    assert least - 1e-9 <= hsvi.upper(0, belief, hull, new_program(3)) <= most + 1e-9
+    assert least - 1e-9 <= belief_hulls.upper(0, belief, hull, new_program(3)) <= most + 1e-9
