@@ -20,7 +20,6 @@ from test_qmdp import make
 
 from assist.connect.gymnasium import TeamEnv, TeamVectorEnv
 from assist.connect.pettingzoo import parallel_env
-from assist.connect.teams import Teams
 from assist.declare import InapplicableError
 from assist.declare.refusals import Refusal
 from assist.drawing.frames import episode_frames
@@ -212,12 +211,9 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda g: TeamEnv(replace(g.pool, known=None), render_mode="rgb_array").render(),
         TypeError, "expected an environment of one task, and this pool has none to draw",
     ),
-    "team around a state": (
-        lambda g: Teams(Pool.sample(g.table, 2, seed=0, states=5), 1, 2), ValueError, "an enumerated task",
-    ),
     # Learning.
     "weights of nobody": (
-        lambda _: logit_likelihood.Steps.of([], Method()),
+        lambda _: logit_likelihood.Likelihood.of([], Method()),
         ValueError,
         "terms need people; there are no obs"),
     "population of nobody": (
