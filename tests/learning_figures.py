@@ -125,7 +125,7 @@ def of_acting(table: Table, count: int) -> Iterator[tuple[str, Callable[[], Any]
     rows = record(table, people(3, rng), episodes=3, rng=rng, suggest=0.3, most=300)
 
     def full() -> Any:
-        found = fit(table, Log.of(rows), seed=0)
+        found = fit(table, Log.of(rows))
         return [
             estimates(r for r in found.values()),
             [[r.check.p, *r.check.scores.values()] for r in found.values()],

@@ -106,7 +106,7 @@ def fit(
             complete = show_influence(seen, what.trust, method, carry, neighbours, files)
         else:
             model: Model | None = "misconceptions" if what.misconceptions else "terms" if what.terms else chooses
-            complete = show_people(learned(seen, method, model, setting.seed, reading.jobs), files)
+            complete = show_people(learned(seen, method, model, reading.jobs), files)
     if not complete:
         sys.exit(ExitCode.FAILED)
 

@@ -214,8 +214,7 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
 @shows_progress
 def fit(
     task: Tasks | Evidence, log: Records | None = None, method: Method | None = None, *, model: Model | None = None,
-    seed: int | np.random.Generator = 0, jobs: int = 1, time_limit: float | None = None, progress: Wanted = None,
-    **reading: Unpack[Reading],
+    jobs: int = 1, time_limit: float | None = None, progress: Wanted = None, **reading: Unpack[Reading],
 ) -> FittedPeople:  # fmt: skip
     """Return estimates of people's expertise, influence and trust from a log of their actions.
 
@@ -230,8 +229,6 @@ def fit(
         more for each person. "terms", or terms by name: the weights of `TERMS`, or of these; the model is then
         hierarchical (`hierarchy`). A function is a choice model in place of cost-to-go; beta is then its parameter, and
         the task's cost-to-go must be a table.
-    seed : int or numpy.random.Generator
-        Random seed of the model check.
     jobs : int
         Number of threads.
     time_limit : float, optional
@@ -286,7 +283,7 @@ def fit(
         fits, hierarchy = fit_terms(observations, method)
     else:
         fits = maximum_likelihood(observations, method, jobs=jobs, progress=None if slow else advance)
-    rng, records, unknown = np.random.default_rng(seed), list[PersonEstimate](), _unknown(seen)
+    rng, records, unknown = np.random.default_rng(method.seed), list[PersonEstimate](), _unknown(seen)
     for one in map(_with_likeliest, fits) if seen.goals else fits:
         person = one.observations.person
         if misconceptions and ends.passed:

@@ -263,7 +263,6 @@ class EstimateSetting(Method, ReadingSetting):
         Field(description="Your own choice model FILE.py:FUNCTION, in place of choice by cost-to-go."),
     ] = None
     goal_prior: Prior = field(default_factory=dict, hash=False)
-    seed: Annotated[Seed, Field(description="Random seed of the model check.")] = 0
 
 
 @declared

@@ -28,7 +28,7 @@ FEW_ACTIONS = 10_000
 """Actions in a log whose first estimates take two seconds."""
 
 
-def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs: int | None) -> FittedPeople:
+def learned(seen: Evidence, method: Method, model: Model | None, jobs: int | None) -> FittedPeople:
     """Estimate the parameters of the people in a log. Expected errors end the command in one line."""
     if model in (None, "misconceptions"):
         _show_first(seen, method)  # before the next import, which takes as long
@@ -37,7 +37,7 @@ def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs
 
     try:
         with stages() as show:
-            return fit(seen, method=method, model=model, seed=seed, jobs=jobs or processors(), progress=show)
+            return fit(seen, method=method, model=model, jobs=jobs or processors(), progress=show)
     except (InputFileError, UserCodeError) as error:
         fail(str(error), ExitCode.FAILED)
 

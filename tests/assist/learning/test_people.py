@@ -46,7 +46,7 @@ def test_people_by_their_names(tiny: Table, rows: list[dict], tmp_path: Path) ->
         people["zoe"]
     result = CliRunner().invoke(main, ["fit", str(TINY), str(file), "--json"])
     assert (result.exit_code, json.loads(result.stdout)) == (0, people.as_dicts())
-    asked = fit(OnDemand(tiny.task), read_log(file), method=Method(level=0.95), seed=np.random.default_rng(0))
+    asked = fit(OnDemand(tiny.task), read_log(file), method=Method(level=0.95, seed=0))
     assert asked.as_dicts() == people.as_dicts()
     drawn = people.population().sample(Choices.of(tiny), 500, np.random.default_rng(0))
     assert people.sigma == (0.0, 0.0)
