@@ -21,10 +21,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
+
+from pydantic import Field
 
 from planner.system.errors import InputFileError
 
+from ..declare.declared import AnyText, View, Whole, declared
 from .record import Record
 
 R = TypeVar("R", bound=Record)
@@ -49,24 +52,14 @@ class JournalError(OSError):
     """The event cannot be written to the disk, and has no effect."""
 
 
-class Tombstone(NamedTuple):
-    """What remains of a person whose records were erased.
+@declared
+class Tombstone(View):
+    """What remains of a person whose records were erased."""
 
-    Attributes
-    ----------
-    label : str
-        Stands for the person in what remains.
-    at : str
-        Time of the erasure, UTC.
-    reason : str
-    events : int
-        Number of erased events.
-    """
-
-    label: str
-    at: str
-    reason: str
-    events: int
+    label: Annotated[AnyText, Field(description="Stands for the person in what remains.")]
+    at: Annotated[AnyText, Field(description="Time of the erasure, UTC.")]
+    reason: Annotated[AnyText, Field(description="Why, without the person's name.")]
+    events: Annotated[Whole, Field(description="Number of erased events.")]
 
 
 class EventStore(Generic[R]):
@@ -276,7 +269,7 @@ class EventStore(Generic[R]):
                     self._db.execute("UPDATE events SET record = ?, answer = ? WHERE n = ?", (after.text(), kept, n))
             stone = Tombstone(label, utc(), reason, count)
             self._db.execute("DELETE FROM erased WHERE label = ?", (person,))  # who withdrew and is erased later
-            self._db.execute("INSERT INTO erased VALUES (?, ?, ?, ?, 0)", stone)
+            self._db.execute("INSERT INTO erased VALUES (:label, :at, :reason, :events, 0)", stone.as_dict())
         return stone
 
     def purge(self) -> None:

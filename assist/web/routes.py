@@ -12,10 +12,11 @@ from fastapi.responses import JSONResponse
 from ..declare.catalogue import languages
 from ..declare.refusals import AbsentError, Refusal
 from ..live.names import LONGEST_REASON
+from ..live.store import Tombstone
 from ..live.views import PersonView, RobotView
 from . import cookies
 from .authorization import READ, Desk, Operator, Own, bearer, refusals
-from .schemas import Drawn, Erased, Explained, Health, Me, Reloaded, Team
+from .schemas import Drawn, Explained, Health, Me, Reloaded, Team
 from .service import Erasure
 from .task_drawings import Pictures
 from .tokens import Caller
@@ -123,7 +124,7 @@ async def team(_: Operator, service: Desk) -> Response:
 
 
 @router.delete(
-    "/api/people/{person}/records", tags=["team"], response_model=Erased, responses=refusals(403, 404, 422, 503, 507)
+    "/api/people/{person}/records", tags=["team"], response_model=Tombstone, responses=refusals(403, 404, 422, 503, 507)
 )
 async def erase(
     _: Operator, person: str, service: Desk, reason: Annotated[str, Query(min_length=1, max_length=LONGEST_REASON)]

@@ -12,15 +12,6 @@ from ..live.explanation import WhyNothing, WhyPerson, WhyStep
 from ..live.views import MemberView, RobotView
 
 
-class Erased(BaseModel):
-    """What remains of a person whose records were erased: a label, the time (UTC), and the reason."""
-
-    label: str
-    at: str
-    reason: str
-    events: int
-
-
 class Problem(BaseModel):
     """The reason for a refusal."""
 

@@ -202,7 +202,7 @@ class Service:
                 self._carry_out(partial(self._erased, erasure), [future])
 
     def _erased(self, erasure: Erasure) -> list[Outcome]:
-        return [self.session.erase(erasure.person, erasure.reason)._asdict()]
+        return [self.session.erase(erasure.person, erasure.reason).as_dict()]
 
     def _carry_out(self, work: Callable[[], list[Outcome]], futures: list[asyncio.Future[Outcome]]) -> None:
         """Change the session, and deliver the outcomes and the new views."""
