@@ -62,12 +62,13 @@ ROOMS = {
         diagnostics population fit goals rule_families posterior_sample influence_population
         rule_search trust_fit held_out""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
-    "assist.drawing.plots": "shown_figure style labels episode watched people policies study userstudy",
+    "assist.drawing.plots": """shown_figure style labels panels_by_name episode belief watched people policies
+        trade_off study userstudy""",
     "assist.live": """continuations contrast explanation names live_task advice roster seen_suggestions
         uncertain_actions beliefs live_questions decision_point robot_places decisions knowledge desk views event_base
         events reports record assistant store people_store header history team session simulated_person
         trace_reasons""",
-    "assist.studies": "study plan_tables protocol tasks cells runner own_code",
+    "assist.studies": "study plan_tables protocol tasks cells runner own_code_trials own_code",
     "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
         participant_team roll teams events record cohort session csv_tables tables export
         forecast""",
@@ -94,7 +95,7 @@ ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file
 ORDER.remove("planner")
 # With all that is in them.
 MAY_READ_PDDL = (
-    *(f"assist.studies.{file}" for file in ("study", "plan_tables", "tasks", "cells", "protocol", "own_code")),
+    *(f"assist.studies.{file}" for file in ("study", "plan_tables", "tasks", "cells", "protocol", "own_code_trials")),
     "assist.drawing",
     "assist.connect.teams",
     "assist.connect.rendering",

@@ -8,56 +8,17 @@ trial that fails says in a sentence what is wrong. The small tasks of the trials
 from __future__ import annotations
 
 import inspect
-import tempfile
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-import numpy as np
-
-from planner import Table, cost_to_go, instance, load, sweep_goals
-
 from ..people.arguments import one_of
-from ..people.choice_model import chances
-from ..people.choices import Choices
-from ..people.decision import Floats, perceived_cost
-from ..people.goals import Goals
-from ..people.memory import remembered
-from ..people.ranges import Population
 from ..people.terms import Situation
-from ..people.trust_rules import Event, Feedback, TrustRule
-from ..people.user_code import UserChoiceModel, UserCodeError, described, object_of, parse
+from ..people.user_code import UserCodeError, described, object_of, parse
 from ..people.user_code import load as load_function
-from ..person.observation_model import ObservationModel
-from ..person.robots import Robot
-from ..person.settings import Setting
-from ..team.policies import UserPolicy
-from ..team.pool import Pool
-from ..team.simulate import simulate
-from ..team.state import TeamPolicy
+from .own_code_trials import TRIALS
 
 Kind = Literal["policy", "people", "trust", "term"]
-
-TINY, DEAD_ENDS, LARGER = "kitting/tiny", "stations/one-way", "kitting/paper"
-
-WALK = """
-(define (domain walk) (:requirements :strips) (:predicates (at ?x) (road ?x ?y))
-  (:action go :parameters (?x ?y) :precondition (and (at ?x) (road ?x ?y)) :effect (and (not (at ?x)) (at ?y))))
-"""
-PLACES = """
-(define (problem to-{goal}) (:domain walk) (:objects a b c d e)
-  (:init (at a) (road a b) (road b a) (road b c) (road c b) (road b d) (road d b) (road d e) (road e d))
-  (:goal (at {goal})))
-"""
-"""A walk whose goal is one of three places: the roads branch, so that actions tell goals apart."""
-
-MANY = 8
-"""Episodes of a trial: enough that several teams are decided on at a time."""
-
-MORE = 40
-"""Episodes of the trial in which other teams must not matter: while some teams finish, others are at work for long."""
 
 
 @dataclass(frozen=True)
@@ -135,10 +96,8 @@ def check(code: Any, kind: Kind | None = None) -> Checked:
     if kind is not None:
         one_of("kind", kind, get_args(Kind))
     kind = kind or kind_of(code)
-    trials: Callable[[Any, Path | None], Trials]
-    trials = {"policy": _of_policy, "people": _of_people, "trust": _of_trust, "term": _of_term}[kind]  # type: ignore[assignment]
     found = []
-    for what, run in trials(code, file):
+    for what, run in TRIALS[kind](code, file):
         try:
             fault = run()
         except (Exception, SystemExit) as error:  # noqa: BLE001 it is the user's, and is told
@@ -186,188 +145,3 @@ def _told(error: BaseException, file: Path | None) -> str:
     if file is not None and isinstance(error, Exception):
         return described(error, file)
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
-
-
-Trials = Iterator[tuple[str, Callable[[], str | None]]]
-
-
-def _table(name: str) -> Table:
-    found = cost_to_go(load(str(instance(name).problem)))
-    assert isinstance(found, Table)
-    return found
-
-
-def _goals() -> Goals:
-    """Return a task with three possible goals."""
-    with tempfile.TemporaryDirectory() as folder:
-        domain = Path(folder) / "domain.pddl"
-        domain.write_text(WALK, encoding="utf-8")
-        tasks = []
-        for goal in "cde":
-            problem = Path(folder) / f"{goal}.pddl"
-            problem.write_text(PLACES.format(goal=goal), encoding="utf-8")
-            tasks.append(load(str(problem)))
-        return Goals(dict(zip("cde", sweep_goals(tasks), strict=True)))
-
-
-def _situations(
-    population: Population | None = None, **of_setting: Any
-) -> Iterator[tuple[str, Callable[[], Pool], int]]:
-    """Yield what is tried, a function that makes the pool, and the number of people of a team."""
-    tiny = _table(TINY)
-    usual = Setting(**of_setting)
-
-    def pool(task: Any = tiny, **changed: Any) -> Pool:
-        setting = replace(usual, **changed.pop("setting", {}))
-        given = {"population": population} | changed
-        return Pool.sample(task, 4, seed=0, setting=setting, progress=False, **given)
-
-    yield "three people", pool, 3
-    yield "one person", pool, 1
-    yield "the robot knows the exact costs only", partial(pool, setting={"knowledge": "exact"}), 3
-    yield "two robots", partial(pool, setting={"robots": 2}), 3
-    different = (Robot(c_move=2.0), Robot(execute=True))
-    yield "two robots that differ", partial(pool, setting={"robots": different}), 3
-    yield "ways that take two steps", partial(pool, setting={"travel_time": 2.0}), 3
-    yield "any applicable action as a suggestion", partial(pool, setting={"suggestions": "all"}), 3
-    yield "dead ends", partial(pool, _table(DEAD_ENDS)), 3
-    yield "three possible goals", partial(pool, _goals()), 3
-    missed = ObservationModel(miss=0.2, confusion=0.1)
-    yield "actions that are missed or confused", partial(pool, setting={"observation": missed}), 3
-    yield "a truncated task", partial(pool, _table(LARGER), states=1, region=60), 3
-    if population is None:
-        yield "people with habits", partial(pool, population=Population(weights={"back": (-1.0, 0.0)})), 3
-
-
-def _of_policy(code: TeamPolicy, file: Path | None) -> Trials:
-    policy = code if file is None else UserPolicy(file, str(getattr(code, "__name__", "policy")), code)
-
-    def run(pool: Callable[[], Pool], humans: int) -> None:
-        simulate(pool(), policy, humans=humans, episodes=MANY, seed=0, progress=False)
-
-    for what, pool, humans in _situations():
-        yield what, partial(run, pool, humans)
-
-    def alone() -> str | None:
-        drawn = Pool.sample(_table(TINY), 4, seed=0, progress=False)
-        again = partial(simulate, drawn, policy, humans=3, seed=0, progress=False)
-        together = again(episodes=MORE).discounted_return
-        if (together != again(episodes=MORE).discounted_return).any():
-            return (
-                "leads to other episodes when the same are simulated again; expected the same choice in the same "
-                "state, without memory of former calls and without random numbers"
-            )
-        parts = [again(episodes=range(first, first + MANY)).discounted_return for first in range(0, MORE, MANY)]
-        if (together != np.concatenate(parts)).any():
-            return (
-                "chooses otherwise for a team when other teams are simulated with it; expected each row by itself, "
-                "without memory of former calls, in which rows were other teams"
-            )
-        return None
-
-    yield "each team by itself", alone
-
-
-def _of_people(code: Callable[..., Floats], file: Path | None) -> Trials:
-    model = code if file is None else UserChoiceModel(file, str(getattr(code, "__name__", "people")))
-    beta = np.array([0.0, 0.5, 3.0, 50.0])
-
-    def direct(task: str) -> str | None:
-        choices = Choices.of(_table(task))
-        q = perceived_cost(choices, choices.h)
-        given = q.copy()
-        found = chances(model, choices, q, beta)
-        if not np.array_equal(q, given, equal_nan=True):
-            return "changes the array q; expected a new array"
-        for number, one in enumerate(beta):
-            if not np.allclose(chances(model, choices, q, beta[number : number + 1])[0], found[number], 0, 1e-12):
-                return f"gives other probabilities for beta {one:g} alone than among others; expected each by itself"
-        if not np.array_equal(found, chances(model, choices, q, beta)):
-            return "gives other probabilities at the second call; expected a function of its arguments alone"
-        return None
-
-    yield "probabilities of all choices", partial(direct, TINY)
-    yield "probabilities where some choices lead into dead ends", partial(direct, DEAD_ENDS)
-
-    def run(pool: Callable[[], Pool], humans: int) -> None:
-        simulate(pool(), "attention", humans=humans, episodes=MANY, seed=0, progress=False)
-
-    for what, pool, humans in _situations(Population(chooses=model)):
-        yield what, partial(run, pool, humans)
-
-
-def _of_trust(rule: TrustRule, _: Path | None) -> Trials:
-    yield "its attributes", partial(_attributes, rule)
-    yield "events of all kinds", partial(_events, rule)
-
-    def run(setting: dict[str, Any], policy: str) -> None:
-        drawn = Pool.sample(_table(TINY), 4, seed=0, setting=Setting(**setting), progress=False)
-        simulate(drawn, policy, humans=3, episodes=MANY, seed=0, progress=False)
-
-    yield "people whose theta moves so, and a robot that knows it", partial(run, {"trust": rule}, "attention")
-    yield "a robot that believes so", partial(run, {"believed_trust": rule}, "attention")
-    yield "any applicable action as a suggestion", partial(run, {"trust": rule, "suggestions": "all"}, "attention")
-
-
-def _attributes(rule: TrustRule) -> str | None:
-    if not isinstance(getattr(rule, "uses_answer", None), bool):
-        return "has no attribute `uses_answer`; expected True if `followed` or `shown` matter, and False otherwise"
-    if getattr(rule, "feedback", None) not in get_args(Feedback):
-        return f"feedback {getattr(rule, 'feedback', None)!r}; expected one of {', '.join(get_args(Feedback))}"
-    try:
-        hash(rule)
-    except TypeError:
-        return "cannot be hashed; expected a frozen object, such as @dataclass(frozen=True)"
-    return None
-
-
-def _events(rule: TrustRule) -> str | None:
-    theta = np.linspace(0.0, 1.0, 11)[:, None]
-    bits = np.array([[bool(number >> bit & 1) for number in range(16)] for bit in range(4)])
-    agrees, followed, shown, right = (row[None, :] for row in bits)
-    for gain in (-2.0, 0.0, 1.0):
-        event = Event(np.full((1, 16), gain), agrees, followed, shown, right)
-        before = theta.copy()
-        to = np.asarray(rule.update(theta, event), dtype=float)
-        if not np.array_equal(theta, before):
-            return "changes the array theta; expected a new array"
-        to = np.broadcast_to(to, (11, 16)) if to.ndim <= 2 else to
-        if to.shape != (11, 16):
-            return f"returns shape {to.shape} for 11 thetas and 16 events; expected (11, 16), by broadcasting"
-        if not ((to >= 0) & (to <= 1)).all():
-            return f"leads to theta {to[~((to >= 0) & (to <= 1))][0]:g}; expected a number from 0 to 1"
-        if not rule.uses_answer:
-            same = to[:, _same_answers(agrees[0], right[0])]
-            if (same != same[:, :, :1]).any():
-                return "depends on `followed` or `shown` though its `uses_answer` is False"
-        for place in ((2, 5), (7, 12)):
-            one = Event(np.array(gain), *(np.array(row[0, place[1]]) for row in (agrees, followed, shown, right)))
-            if not np.isclose(float(rule.update(np.array(theta[place[0], 0]), one)), to[place], 0, 1e-12):
-                return "gives another theta for one event alone than among others; expected each by itself"
-    return None
-
-
-def _same_answers(agrees: Any, right: Any) -> Any:
-    """Return the events, shape (4, 4), that differ by the answer only, for each agreement and outcome."""
-    return np.array([np.flatnonzero((agrees == a) & (right == r)) for a in (False, True) for r in (False, True)])
-
-
-def _of_term(term: Callable[[Situation], Floats], _: Path | None) -> Trials:
-    for name, what in ((TINY, "a small task"), (DEAD_ENDS, "dead ends")):
-        yield what, partial(_values, term, name)
-
-
-def _values(term: Callable[[Situation], Floats], task: str) -> str | None:
-    met: list[tuple[Situation, Floats]] = []
-
-    def noted(situation: Situation) -> Floats:
-        met.append((situation, np.array(term(situation), dtype=float)))
-        return met[-1][1]
-
-    remembered(_table(task), {str(getattr(term, "__name__", "term")): noted})
-    by_row = ("state", "applicable", "actions", "targets", "goals", "goals_after", "last", "previous")
-    for situation, values in met:
-        half = replace(situation, **{name: getattr(situation, name)[::2] for name in by_row})
-        if not np.array_equal(np.asarray(term(half), dtype=float)[half.applicable], values[::2][half.applicable]):
-            return "gives other values for some rows alone than among others; expected each row by itself"
-    return None

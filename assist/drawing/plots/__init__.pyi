@@ -1,11 +1,11 @@
+from .belief import belief_figure as belief_figure
 from .episode import episode_figure as episode_figure
 from .people import calibration_figure as calibration_figure
 from .people import episodes_figure as episodes_figure
 from .people import errors_figure as errors_figure
 from .people import expertise_figure as expertise_figure
 from .policies import comparison_figure as comparison_figure
-from .study import belief_figure as belief_figure
 from .study import benefit_figure as benefit_figure
 from .study import category_figure as category_figure
 from .study import team_size_figure as team_size_figure
-from .study import trade_off_figure as trade_off_figure
+from .trade_off import trade_off_figure as trade_off_figure

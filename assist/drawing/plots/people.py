@@ -13,7 +13,7 @@ from ...learning.comparison import Comparison
 from ...learning.diagnostics import calibrate
 from ...learning.person_estimate import PersonEstimate, people_of
 from ...people.decision import NOTHING
-from .style import BLUE, GREEN, GREY, ORANGE, panels, save, styled, whole_numbers
+from .style import BLUE, GREEN, GREY, ORANGE, grid, panels, save, styled, whole_numbers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -192,10 +192,8 @@ def episodes_figure(people: People, most: int = 12) -> Figure:
     if len(fits) > most:  # from the least to the most expert person
         order = sorted(fits, key=lambda f: f.estimates["beta"].value)
         shown = [order[i] for i in np.linspace(0, len(order) - 1, most).astype(int)]
-    columns = min(3, len(shown))
-    rows = -(-len(shown) // columns)
-    figure, axes = panels(rows, columns, height=2.3, width=3.6 * columns, shown=len(shown), sharey=True)
-    for axis, f in zip(axes.ravel(), shown, strict=False):
+    figure, axes = grid(len(shown), 3, height=2.3, width=3.6 * min(3, len(shown)), sharey=True)
+    for axis, f in zip(axes, shown, strict=True):
         o = f.observations
         bounds = [*np.flatnonzero(o.begins).tolist(), len(o)]
         for begin, end in pairwise(bounds):
@@ -214,7 +212,7 @@ def episodes_figure(people: People, most: int = 12) -> Figure:
         axis.set_title(f"{o.person}: β = {f.estimates['beta'].value:.2g}, {o.suboptimal} of {len(o)} suboptimal")
         axis.grid(axis="y")
         whole_numbers(axis.xaxis)
-    axes[0, 0].set_ylim(bottom=0)  # shared by all axes; set last, since limits stop automatic scaling
+    axes[0].set_ylim(bottom=0)  # shared by all axes; set last, since limits stop automatic scaling
     number = f"{len(shown)} of {len(fits)} people" if len(shown) < len(fits) else "all people"
     figure.suptitle(f"Episodes of {number}; triangles: suggestions, filled if followed")
     figure.supxlabel("action", fontsize="medium")

@@ -89,7 +89,7 @@ def looks(policies: Iterable[str]) -> dict[str, PolicyLook]:
 
 def panels(
     rows: int = 1, columns: int = 1, *, height: float, margin: float = 0.6, width: float = PAGE_WIDTH,
-    shown: int | None = None, layout: Literal["constrained"] | None = "constrained", **shared: Any,
+    layout: Literal["constrained"] | None = "constrained", **shared: Any,
 ) -> tuple[Figure, NDArray[Any]]:  # fmt: skip
     """Return a figure, and its panels in an array of shape (rows, columns).
 
@@ -100,8 +100,6 @@ def panels(
         Inches of each row.
     margin, width : float
         Inches beside the rows, and of the whole figure.
-    shown : int, optional
-        Panels that are used, row by row; all unless given.
     layout : "constrained" or None
         How matplotlib places panels; None if the caller does.
     **shared
@@ -110,10 +108,16 @@ def panels(
     from .shown_figure import ShownFigure
 
     figure = ShownFigure(figsize=(width, margin + height * rows), layout=layout)
-    axes = figure.subplots(rows, columns, squeeze=False, **shared)
-    for axis in axes.ravel()[rows * columns if shown is None else shown :]:
+    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
+
+
+def grid(count: int, columns: int, *, height: float, **more: Any) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a number of panels, row by row in as many columns at most; further arguments as `panels`."""
+    columns = min(count, columns)
+    figure, axes = panels(-(-count // columns), columns, height=height, **more)
+    for axis in axes.ravel()[count:]:
         axis.set_visible(False)
-    return figure, axes
+    return figure, list(axes.ravel()[:count])
 
 
 def robot_bands(axes: Iterable[Axes], trace: Iterable[Mapping[str, Any]], place: int, start: float = -0.5) -> None:

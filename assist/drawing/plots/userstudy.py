@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...declare.catalogue import Catalogue, catalogue
-from .style import BLUE, GREY, PolicyLook, ink, legend_below, looks, panels, sample, styled, whole_numbers
+from .style import BLUE, GREY, PolicyLook, grid, ink, legend_below, looks, panels, sample, styled, whole_numbers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,7 @@ def outcomes_figure(
         Texts of the report's language; English unless given, here and in the other figures.
     """
     shown = looks(cell["condition"] for cell in measures[0]["cells"])
-    figure, axes = _grid(len(measures), 2.5)
+    figure, axes = grid(len(measures), 3, height=2.5, margin=0.3)
     for axis, measure in zip(axes, measures, strict=True):
         for place, cell in enumerate(measure["cells"]):
             look = shown[cell["condition"]]
@@ -78,7 +78,7 @@ def differences_figure(measures: Rows, reference: str, texts: Catalogue | None =
     texts = texts or catalogue()
     names = [one["condition"] for one in max(measures, key=lambda one: len(one["differences"]))["differences"]]
     shown = looks(names)
-    figure, axes = _grid(len(measures), 0.8 + 0.3 * len(names))
+    figure, axes = grid(len(measures), 3, height=0.8 + 0.3 * len(names), margin=0.3)
     for axis, measure in zip(axes, measures, strict=True):
         for one in measure["differences"]:
             place = -names.index(one["condition"])
@@ -171,12 +171,6 @@ def _in_language(axis: Axis, texts: Catalogue | None) -> None:
             return str(super().__call__(value, place)).replace(".", sign)
 
     axis.set_major_formatter(Formatter())
-
-
-def _grid(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    columns = min(3, count)
-    figure, axes = panels(-(-count // columns), columns, height=height, margin=0.3, shown=count)
-    return figure, list(axes.ravel()[:count])
 
 
 def _interval(axis: Axes, place: float, row: Mapping[str, Any], look: PolicyLook, *, vertical: bool) -> None:

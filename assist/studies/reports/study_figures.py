@@ -8,6 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ...drawing.plots import study as draw
+from ...drawing.plots.belief import belief_figure
+from ...drawing.plots.panels_by_name import MEASURES as SHOWN
+from ...drawing.plots.trade_off import trade_off_figure
 from ..cells import policy_of, pool_of
 from ..study import Cell, Condition, Study
 from .study_summary import MEASURES, Found, average, rows_of
@@ -63,11 +66,11 @@ def pictures(found: Found, summary: Record) -> Iterator[ReportFigure]:
     points = pd.DataFrame(_points(found))
     if len(points) and len(points[["c_suggest", "c_move"]].drop_duplicates()) > 1:
         name = reference.name if reference else ""
-        figure = partial(draw.trade_off_figure, points, published, name)
+        figure = partial(trade_off_figure, points, published, name)
         yield ReportFigure("trade-off", f"Actions against interventions for different costs{whose}", figure)
 
     text = f"The robot's belief over the course of one episode{whose}"
-    yield ReportFigure("belief", text, partial(draw.belief_figure, *_one_episode(found)))
+    yield ReportFigure("belief", text, partial(belief_figure, *_one_episode(found)))
 
 
 def of_kinds(study: Study) -> Condition | None:
@@ -88,7 +91,7 @@ def of_whom(found: Found) -> str:
 def _measured(cells: Iterable[Record]) -> Iterator[Record]:
     """Yield a row for each measure of each cell."""
     for cell in cells:
-        for name in draw.MEASURES:
+        for name in SHOWN:
             yield {**cell, "measure": name, **cell[MEASURES[name]]}
 
 
@@ -97,7 +100,7 @@ def _kinds(found: Found, condition: Condition) -> Iterator[Record]:
     arms = found.arms(condition=condition.name, setting=condition.settings[0][0], prior=condition.priors[0])
     for arm, own in arms:
         for policy in dict.fromkeys(own["policy"]):
-            for measure in draw.MEASURES:
+            for measure in SHOWN:
                 values = own[own["policy"] == policy].groupby("repeat")[measure].mean()
                 estimate = average(own, measure, policy)
                 yield {
@@ -123,7 +126,7 @@ def _points(found: Found) -> Iterator[Record]:
             row: Record = {
                 "instance": arm["instance"], "policy": policy, "c_suggest": setting.c_suggest, "c_move": setting.c_move,
             }  # fmt: skip
-            for measure in draw.MEASURES:
+            for measure in SHOWN:
                 estimate = average(pools, measure, policy)
                 row |= {measure: estimate.value, f"{measure}_low": estimate.low, f"{measure}_high": estimate.high}
             yield row

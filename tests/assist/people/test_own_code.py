@@ -18,7 +18,7 @@ from assist.cli import main
 from assist.people.terms import TERMS
 from assist.people.trust_rules import EquationSeven, LogitSteps, Reliability
 from assist.people.user_code import UserCodeError
-from assist.studies import own_code
+from assist.studies import own_code_trials
 from assist.team import assigned
 from assist.team.policies import named
 
@@ -47,8 +47,8 @@ def in_every_form(team: Any) -> Any:
 @pytest.fixture
 def one_situation(monkeypatch: pytest.MonkeyPatch) -> None:
     """Try simulations in the first situation alone; there are a dozen, of which some take a tenth of a second."""
-    situations = own_code._situations
-    monkeypatch.setattr(own_code, "_situations", lambda *given, **more: islice(situations(*given, **more), 1))
+    situations = own_code_trials._situations
+    monkeypatch.setattr(own_code_trials, "_situations", lambda *given, **more: islice(situations(*given, **more), 1))
 
 
 def test_policies_that_work_everywhere_pass() -> None:

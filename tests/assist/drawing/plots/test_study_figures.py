@@ -15,9 +15,11 @@ from matplotlib.text import Text
 
 from assist.drawing.plots import study as study_figures
 from assist.drawing.plots import userstudy as userstudy_figures
+from assist.drawing.plots.belief import belief_figure
 from assist.drawing.plots.episode import episode_figure
 from assist.drawing.plots.study import COMPARISONS
 from assist.drawing.plots.style import LOOKS, PolicyLook, looks, save_for_pages
+from assist.drawing.plots.trade_off import trade_off_figure
 from assist.people.choices import Choices
 from assist.people.neighbourhood import Neighbourhood
 from assist.people.neighbours import Neighbours
@@ -194,7 +196,7 @@ def test_categories_are_drawn_as_given_beside_what_was_published(categories: pd.
 
 
 def test_the_trade_off_has_every_point_and_the_papers(costs: pd.DataFrame) -> None:
-    figure = study_figures.trade_off_figure(costs, SAVINGS, "theirs")
+    figure = trade_off_figure(costs, SAVINGS, "theirs")
     [axis] = figure.axes
     for policy, look in looks(["none", "reactive", "attention"]).items():
         own = costs[costs["policy"] == policy]
@@ -207,7 +209,7 @@ def test_the_trade_off_has_every_point_and_the_papers(costs: pd.DataFrame) -> No
     assert sorted(text.get_text() for text in axis.texts) == [
         "0, 0", "0.5, 0.5", "4, 4", "against none", "against reactive",
     ]  # fmt: skip
-    without = study_figures.trade_off_figure(costs[costs["policy"] == "attention"], SAVINGS)
+    without = trade_off_figure(costs[costs["policy"] == "attention"], SAVINGS)
     assert not any(one.get_marker() == "*" for one in without.axes[0].get_lines())
 
 
@@ -215,7 +217,7 @@ def test_the_trade_off_has_every_point_and_the_papers(costs: pd.DataFrame) -> No
 def test_costs_beside_points_do_not_cover_each_other(costs: pd.DataFrame) -> None:
     own = costs[costs["policy"] == "attention"]
     near = [own.assign(policy=f"p{n}", interventions=own["interventions"] + 0.1 * n) for n in range(3)]
-    figure = study_figures.trade_off_figure(pd.concat([costs, *near]))
+    figure = trade_off_figure(pd.concat([costs, *near]))
     figure.draw_without_rendering()
     assert len(figure.axes[0].texts) == 12
     assert overlaps(list(figure.axes[0].texts)) == []
@@ -224,7 +226,7 @@ def test_costs_beside_points_do_not_cover_each_other(costs: pd.DataFrame) -> Non
 def test_each_cost_of_moving_has_a_line(costs: pd.DataFrame) -> None:
     own = costs[costs["policy"] == "attention"]
     grid = pd.concat([own.assign(c_move=0.0), own.assign(c_move=1.0, actions=own["actions"] + 1)])
-    [axis] = study_figures.trade_off_figure(grid).axes
+    [axis] = trade_off_figure(grid).axes
     lines = [one.get_ydata().tolist() for one in axis.get_lines()]
     assert lines == [[12.0, 14.0, 19.0], [13.0, 15.0, 20.0]]
 
@@ -304,7 +306,7 @@ def test_what_is_not_known_under_way_leaves_no_hole(tiny_choices: Choices) -> No
     assert unknown.any()
     assert not unknown.all()
     assert beliefs["theta_high"].isna().equals(unknown)
-    figure = study_figures.belief_figure(beliefs, episode)
+    figure = belief_figure(beliefs, episode)
     known = beliefs[~unknown & beliefs["place"].eq(0)]
     np.testing.assert_allclose(figure.axes[0].get_lines()[0].get_xydata(), known[["step", "beta_mean"]])
 
@@ -312,7 +314,7 @@ def test_what_is_not_known_under_way_leaves_no_hole(tiny_choices: Choices) -> No
 def test_beliefs_are_drawn_beside_the_truth(pool: Pool) -> None:
     episode, rows = beliefs_of_episode(pool, AttentionSwitching(), humans=3, episode=5, seed=3, name="mine")
     beliefs = pd.DataFrame(rows)
-    figure = study_figures.belief_figure(beliefs, episode)
+    figure = belief_figure(beliefs, episode)
     assert [axis.get_title(loc="left") for axis in figure.axes[::2]] == list(episode.people)
     for number, axis in enumerate(figure.axes):
         own, name = beliefs[beliefs["place"] == number // 2], ("beta", "theta")[number % 2]
@@ -330,7 +332,7 @@ def test_four_files_are_written_whole(tmp_path: Path, costs: pd.DataFrame, monke
     backgrounds = []
 
     def draw() -> Figure:
-        figure = study_figures.trade_off_figure(costs)
+        figure = trade_off_figure(costs)
         backgrounds.append(to_hex(figure.get_facecolor()))
         return figure
 
@@ -390,7 +392,7 @@ def test_names_of_kinds_do_not_cover_each_other(categories: pd.DataFrame, kinds:
 
 def test_intervals_of_few_pools_do_not_squeeze_the_rest(costs: pd.DataFrame, team_sizes: pd.DataFrame) -> None:
     wide = costs.assign(interventions_low=-100.0, interventions_high=120.0, actions_low=-90.0, actions_high=130.0)
-    [axis] = study_figures.trade_off_figure(wide).axes
+    [axis] = trade_off_figure(wide).axes
     assert -1 < axis.get_xlim()[0] <= 0  # the number of interventions is nonnegative
     assert axis.get_xlim()[1] < 15
     assert axis.get_ylim()[0] >= 10
