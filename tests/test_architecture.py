@@ -34,8 +34,8 @@ ROOMS = {
     "assist.declare": "declared tables options catalogue refusals",
     "assist.people": """arguments state_keys hidden_type slots choices misconception decision same_costs user_code
         goals terms memory memory_on_demand choice_model weighted_choice human ranges real_people spread belief
-        influence_kernels type_kernels trust_rules neighbours neighbourhood perceived_suggestions action_names
-        signals""",
+        influence_kernels type_kernels trust_rules neighbours neighbourhood theta_reach perceived_suggestions
+        action_names signals""",
     "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings robot_actions
         trust_shares pomdp assumptions visiting_robot problem_arrays people_arrays rows problem_rows policy lazy_policy
         archive belief_filter belief_update dynamics_kernel dynamics joint_belief beliefs seen_beliefs hidden_beliefs

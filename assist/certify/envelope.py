@@ -29,9 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.neighbourhood import Neighbourhood
+from ..people.theta_reach import ThetaReach
 from ..person.attention_subproblem import AttentionSubproblem, backwards
 from ..person.mdp_values import initial_upper_bounds, value_iteration
 from ..person.policy import Policy
@@ -64,50 +64,28 @@ class OwnTheta:
 
 @dataclass(frozen=True, eq=False)
 class Envelope(OwnTheta):
-    """How far theta comes in a step by what a person sees of neighbours, for each value of a grid.
+    """The bounds on the subproblem of a person whose theta also moves by what they see of neighbours.
 
     Attributes
     ----------
-    grid : Grid
-    low, high : float arrays, shape (M + 1, T)
-        Least and largest theta after at most 0, 1, ... M events.
+    reach : ThetaReach
+        How far theta comes in a step.
     """
 
-    grid: Grid
-    low: Floats
-    high: Floats
+    reach: ThetaReach
 
     @classmethod
     def of(cls, pool: Pool, team: tuple[int, ...], places: tuple[int, ...]) -> OwnTheta:
-        """Return the envelope of people at some places of a team, or `OwnTheta` if they see nothing that moves theta.
+        """Return the bounds for people at some places of a team: `OwnTheta` if they see nothing that moves theta.
 
         Raises
         ------
         ValueError
-            The rule has no envelope.
+            As in `ThetaReach.of`.
         """
         seen, grid = pool.setting.neighbourhood(len(team)), pool.policies[0].pomdp.grid
         events = _events(pool, team, places, seen)
-        if not events:
-            return OwnTheta()
-        low, high = [grid.theta], [grid.theta]
-        for _ in pool.setting.robots:
-            low.append(np.min([_envelope(seen, low[-1], *one)[0] for one in events], axis=0))
-            high.append(np.max([_envelope(seen, high[-1], *one)[1] for one in events], axis=0))
-        return cls(grid, np.array(low), np.array(high))
-
-    def lifted(self, value: Floats, events: int) -> Floats:
-        """Return the largest values, shape (n, H, T), after theta has moved by at most so many events."""
-        low, high, count, found = self.low[events], self.high[events], self.grid.count, value.copy()
-        if not events:
-            return found
-        for end in (low, high):
-            at, weight = self.grid.shares(end, count)
-            np.maximum(found, value[..., at] * (1 - weight) + value[..., at + 1] * weight, out=found)
-        for t, theta in enumerate(self.grid.theta.tolist()):
-            inside = (low <= theta) & (theta <= high) & (count == count[t])
-            found[..., inside] = np.maximum(found[..., inside], value[..., t, None])
-        return found
+        return cls(ThetaReach.of(seen.rule, grid, events, len(pool.setting.robots))) if events else OwnTheta()
 
     def tail(self, free: AttentionSubproblem) -> Floats:
         """Return the values with free attention, as in `OwnTheta`."""
@@ -155,8 +133,8 @@ class Envelope(OwnTheta):
 
     def _q(self, visits: AttentionSubproblem, value: Floats, states: Ints) -> Floats:
         """Return the Q-values of moves in some states, with the values after theta has been moved."""
-        robots, attended = len(self.low) - 1, visits.attended()[:, :, None, None]
-        each = [look_ahead(visits.pomdp, self.lifted(value, robots - less), states).q_mdp for less in (1, 0)]
+        robots, attended = len(self.reach.low) - 1, visits.attended()[:, :, None, None]
+        each = [look_ahead(visits.pomdp, self.reach.lifted(value, robots - less), states).q_mdp for less in (1, 0)]
         return np.where(attended, *each)
 
 
@@ -221,15 +199,3 @@ def _range(policy: Policy) -> tuple[float, float]:
     row, slot = np.nonzero(pomdp.model.choices.applicable & (pomdp.robot_actions > 1)[:, None])
     gain = gained(policy, row, pomdp.model.choices.targets[row, slot])
     return float(gain.min(initial=0.0)), float(gain.max(initial=0.0))
-
-
-def _envelope(seen: Neighbourhood, theta: Floats, gain: tuple[float, float], weight: float) -> tuple[Floats, Floats]:
-    """Return the least and the largest theta after one event of a kind of neighbours."""
-    within = getattr(seen.rule, "envelope", None)
-    if within is None:
-        raise ValueError(
-            f"neighbours: {type(seen.rule).__name__} does not say how far theta can come; a bound expects a rule with "
-            "a method envelope(theta, gain, weight)"
-        )
-    low, high = within(theta, gain, weight)
-    return np.asarray(low), np.asarray(high)

@@ -11,10 +11,12 @@ from solved import by_hand
 from assist.certify import upper_bound
 from assist.certify.envelope import Envelope
 from assist.people.choices import Choices
+from assist.people.goals import Goals
 from assist.people.neighbours import Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
 from assist.people.ranges import Population
 from assist.person.settings import Setting
 from assist.team.pool import Pool
+from planner import OnDemand, sweep_goals
 from planner.costtogo.table import Table
 
 # A way back at each step; and a longer one.
@@ -25,7 +27,7 @@ TASKS = {
 RULES = {"outcome": SeenOutcome(0.3), "followed": SeenFollowed(0.2, 0.1), "steps": SeenSteps(1.0, 1.5)}
 
 
-def pool_of(task: Choices | Table, rule: SeenRule, **fields: object) -> Pool:
+def pool_of(task: Choices | Table | OnDemand | Goals, rule: SeenRule, **fields: object) -> Pool:
     given = {"c_suggest": 0.2, "c_move": 0.1, "gamma": 0.9, "knowledge": "exact"} | fields
     setting = Setting(neighbours=Neighbours(rule=rule, matrix=((0, 0.9), (0.6, 0))), **given)  # type: ignore[arg-type]
     return Pool.sample(task, 2, seed=1, setting=setting, population=Population(beta=(0.6, 0.6), theta=(0.3, 0.8)))
@@ -118,14 +120,15 @@ def test_values_are_lifted_to_the_largest_within_the_envelope(tiny: Table) -> No
     pool = pool_of(tiny, SeenFollowed(0.2, 0.1), robots=2)
     envelope = Envelope.of(pool, (0, 1), (0,))
     assert isinstance(envelope, Envelope)
-    theta, value = envelope.grid.theta, np.random.default_rng(1).normal(size=(3, 2, 10))
-    np.testing.assert_allclose(envelope.high[2], np.clip(theta + 0.36, 0, 1))
-    np.testing.assert_allclose(envelope.low[1], np.clip(theta - 0.09, 0, 1))
+    reach = envelope.reach
+    theta, value = reach.grid.theta, np.random.default_rng(1).normal(size=(3, 2, 10))
+    np.testing.assert_allclose(reach.high[2], np.clip(theta + 0.36, 0, 1))
+    np.testing.assert_allclose(reach.low[1], np.clip(theta - 0.09, 0, 1))
     fine = np.linspace(0, 1, 1801)
     for events in range(3):
-        lifted = envelope.lifted(value, events)
+        lifted = reach.lifted(value, events)
         for x, h, t in np.ndindex(value.shape):
-            within = fine[(fine >= envelope.low[events, t] - 1e-9) & (fine <= envelope.high[events, t] + 1e-9)]
+            within = fine[(fine >= reach.low[events, t] - 1e-9) & (fine <= reach.high[events, t] + 1e-9)]
             assert lifted[x, h, t] == pytest.approx(np.interp(within, theta, value[x, h]).max(), abs=1e-9)
 
 
@@ -142,3 +145,17 @@ def test_refusals(tiny: Table) -> None:
         upper_bound(pool_of(tiny, Boundless()), [0, 1], time_limit=3)
     with pytest.raises(ValueError, match="paths 4: expected 0, as sample paths do not have what people see"):
         upper_bound(pool_of(tiny, SeenFollowed()), [0, 1], time_limit=3, paths=4)
+    pool = pool_of(OnDemand(tiny.task, jobs=1), SeenFollowed())
+    with pytest.raises(ValueError, match="a bound with neighbours who see each other: expected an enumerated task"):
+        upper_bound(pool, [0, 1], time_limit=3)
+
+
+def test_the_bound_holds_with_several_goals(tiny: Table) -> None:
+    (one, first), (two, second) = tiny.task.goal[-2:]
+    other = replace(tiny.task, goal=(*tiny.task.goal[:-2], (one, second), (two, first)))  # the slots change places
+    goals = Goals(dict(zip(("own", "other"), sweep_goals([tiny.task, other]), strict=True)), {"own": 0.6, "other": 0.4})
+    pool = pool_of(goals, SeenOutcome(0.3), c_suggest=0.05)
+    bound = upper_bound(pool, [0, 1], time_limit=2)
+    for name in ("attention", "attention-outlook", "priority", "rollout"):
+        found = bound.certify(name, episodes=500)
+        assert found.value - 3 * found.value_stderr <= bound.upper
