@@ -14,7 +14,9 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from functools import cache, partial
+from contextlib import suppress
+from functools import cache
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,7 @@ from graphs import graph_task as graph_task
 from hypothesis import settings
 from numba.core import event
 
-from assist.certify import team_bound
+from assist.certify import computation
 from assist.certify.options import BoundOptions
 from assist.cli import main
 from assist.cli.options import task
@@ -74,6 +76,21 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def pytest_xdist_auto_num_workers() -> int:
     """Return two more than there are processors: about two workers wait for a browser or a service at any time."""
     return len(os.sched_getaffinity(0)) + 2
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Let each worker first import another part of the files, if all are asked for.
+
+    In a fresh checkout pytest rewrites each file once then, and not once in each worker, which takes it 4 s.
+    """
+    worker = getattr(session.config, "workerinput", None)
+    if worker is None or [Path(one).resolve() for one in session.config.args] != [TESTS]:
+        return
+    files = sorted(TESTS.rglob("test_*.py"))
+    first = len(files) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
+    for file in files[first:] + files[:first]:
+        with suppress(Exception, pytest.skip.Exception):  # the collection reports it
+            import_module(file.stem)
 
 
 @pytest.hookimpl(trylast=True)
@@ -250,10 +267,16 @@ def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_first_picture(monkeypatch)
 
 
-@pytest.fixture
-def few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let bounds optimise their prices in few rounds of few episodes, in this process: a bound holds at all prices."""
-    monkeypatch.setattr(team_bound, "BoundOptions", partial(BoundOptions, price_rounds=10, price_episodes=100))
+FEW = BoundOptions(price_rounds=10, price_episodes=100, belief_episodes=500)
+"""Options of bounds whose prices are optimised in a tenth of the time; a bound holds at all prices."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def few_rounds() -> Iterator[None]:
+    """Let bounds have these options in this process, unless options are given."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(computation, "BoundOptions", lambda: FEW)
+        yield
 
 
 @pytest.fixture

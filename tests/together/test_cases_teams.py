@@ -223,7 +223,6 @@ def test_ctrl_c_leaves_the_policies_that_were_simulated(tmp_path: Path, monkeypa
     interrupted("--policy", "attention")
 
 
-@pytest.mark.usefixtures("few_rounds")
 def test_ctrl_c_leaves_the_policies_that_were_compared_with_a_bound(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,7 +262,6 @@ def test_ctrl_c_leaves_the_bounds_on_one_person(tmp_path: Path, monkeypatch: pyt
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.usefixtures("few_rounds")
 @pytest.mark.parametrize("stage", ["the first person", "the second person", "sample paths"])
 def test_ctrl_c_leaves_a_bound_on_what_was_computed(stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """People whose problems have not been bounded count as if they had the robot to themselves."""

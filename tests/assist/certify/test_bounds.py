@@ -14,7 +14,6 @@ from conftest import KITTING, invoke
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.certify.options import BoundOptions
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.people.choices import Choices
@@ -29,8 +28,6 @@ from assist.team.pool import Pool
 from assist.team.simulate import simulate
 from assist.team.state import NOBODY, TeamAction, TeamState
 
-FEW = BoundOptions(price_episodes=300)  # the tests hold for all prices
-
 
 @pytest.fixture(scope="module")
 def pool(tiny_choices: Choices) -> Pool:
@@ -39,7 +36,7 @@ def pool(tiny_choices: Choices) -> Pool:
 
 @pytest.fixture(scope="module")
 def together(pool: Pool) -> TeamBound:
-    return upper_bound(pool, gap=1e-3, options=FEW)
+    return upper_bound(pool, gap=1e-3)
 
 
 def root(visits: AttentionSubproblem) -> float:
@@ -115,7 +112,7 @@ def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
     assert (found.price >= 0).all()
     values = {}
     for name in POLICIES:
-        certificate = found.certify(pool.policy(name), name, episodes=10 if name == "rollout" else 1000)
+        certificate = found.certify(pool.policy(name), name, episodes=4 if name == "rollout" else 1000)
         values[name] = certificate.value
         assert certificate.value <= certificate.upper + 4 * certificate.value_stderr
         expected = 100 * (certificate.upper - certificate.value) / abs(certificate.value)
@@ -123,7 +120,8 @@ def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
     # With these random numbers it is 1.57, of which 1.3 is the loss of one robot compared with one for each of three
     # people.
     assert found.certify("priority", episodes=4000).gap_percent < 1.7
-    assert found.slack <= 1.001e-3 * abs(found.upper)  # as far as people's problems were to be solved
+    paid = (pool.setting.gamma ** np.arange(len(found.price)) * found.price).sum()
+    assert found.slack <= 1e-3 * (abs(found.upper) + paid)  # as far as people's problems were to be solved
     assert values["none"] < values["attention"]
 
 
@@ -131,7 +129,7 @@ def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
 @pytest.mark.parametrize(("time", "gap"), [(1.0, 1.41), (2.0, 1.35)])
 def test_the_bound_holds_where_the_way_takes_time(pool: Pool, together: TeamBound, time: float, gap: float) -> None:
     slow = replace(pool, setting=replace(pool.setting, travel_time=time))
-    found = upper_bound(slow, gap=1e-3, options=FEW)
+    found = upper_bound(slow, gap=1e-3)
     assert found.upper < together.upper  # travel time is taken into account
     for name in ("attention", "priority"):
         certificate = found.certify(slow.policy(name), name, episodes=4000)
@@ -181,7 +179,7 @@ def test_people_with_one_model_share_one_problem(tiny_choices: Choices) -> None:
     assert max(total for what, _, total in told if what == "bounding people's problems") == 1
     certificate = found.certify(pool.policy("priority"), episodes=200)
     assert certificate.humans == 40
-    assert found.upper == pytest.approx(-299.622, abs=0.01)
+    assert found.upper == pytest.approx(-299.713, abs=0.01)
     # 2.5 or 2.6 here: which of two equally good people is helped depends on rounding.
     assert 2 < certificate.gap_percent < 3
 

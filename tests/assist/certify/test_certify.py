@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import graph_task, kit, thinned
+from conftest import FEW, graph_task, kit, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_goal_bounds import ring
@@ -39,11 +39,8 @@ from assist.team.state import TeamAction, TeamState
 from planner import LimitError, sweep
 
 SETTING = Setting(gamma=0.5, c_suggest=0.1, c_move=0.2)
-
-
-FEW_EPISODES = BoundOptions(price_episodes=100)  # the tests hold for all prices
-certify = partial(comparison.certify, options=FEW_EPISODES)
-upper_bound = partial(team_bound.upper_bound, options=FEW_EPISODES)
+certify = partial(comparison.certify, options=FEW)
+upper_bound = partial(team_bound.upper_bound, options=FEW)
 
 
 @pytest.fixture(scope="module")

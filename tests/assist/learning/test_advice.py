@@ -48,7 +48,7 @@ def after(
 @pytest.mark.parametrize("slope", ["", "random confidence slope + "])
 def test_the_likelihood_is_that_of_the_model(slope: str) -> None:
     """One person at a time, in plain arithmetic, for a rule of the logit scale and each base."""
-    log = simulated(4, 12, 0)
+    log = simulated(2, 10, 0)
     log = AdviceLog(**vars(log) | {"advice_confidence": np.linspace(-0.5, 0.5, len(log))})
     for base in BASES:
         model = model_of(base, COMPARED_BEFORE[f"{slope}L agreement + outcome at disagreement"])

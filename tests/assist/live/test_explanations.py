@@ -504,9 +504,9 @@ def test_a_trace_explains_suggestions_as_a_live_team_does(options: dict[str, Any
     pool = Pool.sample(known, 3, seed=1, setting=replace(SETTING, **options))
     for policy in ("attention", "reactive"):
         plain, explained = Trace(), Trace()
-        simulate(pool, policy, humans=[2, 0], episodes=10, seed=3, trace=plain)
+        simulate(pool, policy, humans=[2, 0], episodes=4, seed=3, trace=plain)
         explains = TraceReasons(pool.policies, known)
-        simulate(pool, policy, humans=[2, 0], episodes=10, seed=3, trace=explained, reasons=explains)
+        simulate(pool, policy, humans=[2, 0], episodes=4, seed=3, trace=explained, reasons=explains)
         reasons = [row.pop("explanation", None) for row in explained]
         assert explained == plain
         if not pool.setting.observation:  # else a suggestion may not be applicable in the true state

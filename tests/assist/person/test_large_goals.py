@@ -11,7 +11,6 @@ from teams import equal
 from test_unknown_goals import TASKS
 
 from assist.certify import upper_bound
-from assist.certify.options import BoundOptions
 from assist.live import Assistant, TraceReasons
 from assist.live import live_task as live
 from assist.people import Goals, Human, HumanModel
@@ -276,12 +275,11 @@ def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any) -> None
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge, gamma=0.9)
     goals = TASKS["tiny"]
     whole = Pool.sample(goals, 2, seed=1, setting=setting)
-    few = BoundOptions(price_rounds=10, price_episodes=100)  # a bound holds at all prices
-    exact = upper_bound(whole, gap=0.02, options=few)
+    exact = upper_bound(whole, gap=0.02)
     least = exact.upper - exact.slack
     for region in (2, EVERYTHING):
         part = Pool.sample(goals, 2, seed=1, setting=setting, states=1, region=region)
-        found = upper_bound(part, gap=0.02, options=few)
+        found = upper_bound(part, gap=0.02)
         assert found.upper >= least - 1e-6
         value = found.certify("priority", episodes=200, seed=2)
         assert value.value - 4 * value.value_stderr <= found.upper

@@ -195,7 +195,7 @@ def test_samples_are_not_below_the_joint_optimum(robots: int, window: int) -> No
     pool = replace(pool, policies=(qmdp(replace(pomdp, prior=prior)),))
     (kind,) = kinds_of(pool, (0, 1, 2), setting.travel(3), 0)
     best = joint_optimum(as_agents(kind.at(np.zeros(0)), 3), robots)
-    found = upper_bound(pool, window=window, gap=1e-6, paths=40, options=BoundOptions(price_episodes=200))
+    found = upper_bound(pool, window=window, gap=1e-6, paths=40, options=BoundOptions(10, 200))
     assert found.sampled is not None
     assert found.sampled.mean + 3 * found.sampled.stderr >= best.value
     assert found.proven >= best.value

@@ -240,7 +240,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
     human = Population().sample(tiny_choices, 1, rng)[0]
     model = HumanModel.own(tiny_choices, human, lapse=0.05)
     pomdp = AssistPOMDP.of(model, robot=OfRobots(execute=True))
-    n, (betas, thetas) = 40_000, pomdp.grid.shape
+    n, (betas, thetas) = 10_000, pomdp.grid.shape
     value = perceived_value(tiny_choices, model.q)
     open_states = np.flatnonzero(~tiny_choices.goal)
     for x in rng.choice(open_states, 6):

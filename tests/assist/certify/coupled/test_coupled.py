@@ -229,13 +229,11 @@ def test_rollout_is_better_than_the_policy_it_begins_from() -> None:
     assert max(better) > 1e-2
 
 
-@pytest.mark.parametrize("name", ["prices", "benefit"])
-def test_policies_are_below_the_bound(name: str) -> None:
-    for seed in range(2):
-        agents = problem(seed, 5, 2)
-        found = certify(agents, name, 2, runs=500, seed=seed)
-        assert found.runs.value <= found.bound.upper + 4 * found.runs.stderr + found.runs.rest
-        assert found.gap_percent >= -1
+@pytest.mark.parametrize(("seed", "name"), [(0, "prices"), (1, "benefit")])
+def test_policies_are_below_the_bound(seed: int, name: str) -> None:
+    found = certify(problem(seed, 4, 2), name, 2, runs=500, seed=seed)
+    assert found.runs.value <= found.bound.upper + 4 * found.runs.stderr + found.runs.rest
+    assert found.gap_percent >= -1
 
 
 def test_a_given_bound_is_for_the_same_units_of_the_resource() -> None:
