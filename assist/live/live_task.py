@@ -188,7 +188,7 @@ def require_usable(task: CostToGo | Goals | Policy, prior: Population) -> None:
 def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) -> Policy:
     """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
     if is_whole(known):
-        choices = known.choices() if isinstance(known, Goals) else choices_of(known, tuple(prior.weights))
+        choices = choices_of(known, tuple(prior.weights))
         return qmdp(Assumptions.of(setting, None, prior).problem(choices))
     if prior.weights:
         known = Remembering(first_of(known), prior.weights)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from planner import LimitError, Table
 
 from .choices import Choices
+from .goals import Goals
 from .terms import NOTHING_YET, TERMS, Ints, Situation, Term, Vocabulary, features, goals_met
 
 BLOCK = 1 << 22
@@ -75,13 +76,13 @@ def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_
     )  # fmt: skip
 
 
-def choices_of(table: Table | Choices, names: Iterable[str] = ()) -> Choices:
+def choices_of(table: Table | Choices | Goals, names: Iterable[str] = ()) -> Choices:
     """Return a task's choices, with the values of some terms.
 
     Parameters
     ----------
-    table : Table or Choices
-        Cost-to-go, or choices that have these terms already.
+    table : Table, Choices or Goals
+        Cost-to-go, or choices that have these terms already. People who pursue one of several goals have no terms.
     names : iterable of str
         Names of terms; without any, the rows are the task's states.
 
@@ -93,6 +94,8 @@ def choices_of(table: Table | Choices, names: Iterable[str] = ()) -> Choices:
         The choices would exceed the memory limit.
     """
     names = tuple(dict.fromkeys(names))
+    if isinstance(table, Goals):
+        return table.choices()
     known = (table.terms or ()) if isinstance(table, Choices) else tuple(TERMS)
     for name in names:
         if name not in known:

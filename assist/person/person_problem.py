@@ -146,7 +146,7 @@ class PersonProblem:
         if isinstance(known, Goals) and people.weights:
             raise ValueError("people with weights of terms: expected one goal")
         if is_whole(known, states):
-            choices = known.choices() if isinstance(known, Goals) else choices_of(known, people.weights)
+            choices = choices_of(known, people.weights)
             return cls(known, assumed.problem(choices), choices.of_task(np.arange(choices.task_states)))
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))

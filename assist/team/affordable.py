@@ -61,7 +61,7 @@ def _choices(
     # checked before the choices are built
     states = len(table) if isinstance(table, Choices) else len(first_of(table))
     _require_room_for_policies(goals * policy_bytes(states), states, models, memory_limit_mb, goals)
-    choices = table.choices() if isinstance(table, Goals) else choices_of(table, terms)
+    choices = choices_of(table, terms)
     require_goal(choices.h[choices.initial])
     offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
     robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.fleet.executes)
