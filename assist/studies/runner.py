@@ -23,7 +23,7 @@ from planner.system.workers import outcomes
 
 from .cells import Outcome, carry_out
 from .protocol import study_of
-from .study import SCHEMA, Cell, Study
+from .study import SCHEMA, Cell, EpisodeRecord, Study
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -192,15 +192,12 @@ def _whole_cells(study: Study, file: Path, order: Mapping[Cell, int], warn: Call
 
 
 def _is_episode(record: Mapping[str, Any]) -> bool:
-    """Whether a record has exactly the fields of an episode, with valid types and one entry for each person."""
-    humans = record["humans"]
-    numbers = ("interventions", "moves", "steps", "discounted_return")
-    lists = ("people", "beta", "theta", "sigma", "actions", "costs", "helped", "finished")
-    return (
-        all(isinstance(record[name], int | float) for name in numbers)
-        and all(isinstance(record[name], list) and len(record[name]) == humans for name in lists)
-        and set(record) == {*KEY, *EPISODE, *lists, *numbers}
-    )
+    """Whether a record is one of an episode."""
+    try:
+        EpisodeRecord(**record)
+    except ValueError:
+        return False
+    return True
 
 
 def _cell(record: Mapping[str, Any]) -> Cell:

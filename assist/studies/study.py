@@ -22,7 +22,7 @@ from pydantic import Field
 
 from planner import Instance
 
-from ..declare.declared import Count, Number, Seed, Text, Texts, Truth, declared, plain
+from ..declare.declared import AnyText, Count, Expected, Number, Seed, Text, Texts, Truth, Whole, declared, plain
 from ..people.ranges import Population
 from ..people.user_code import UserChoiceModel
 from ..person.settings import Setting
@@ -95,6 +95,46 @@ class Cell:
     def __str__(self) -> str:
         named = (self.condition, self.setting, self.population, self.instance, f"repeat {self.repeat}")
         return ", ".join(part for part in named if part)
+
+
+@declared(kw_only=True)
+class EpisodeRecord:
+    """A line of `episodes.jsonl`: the cell, which episode it is, its people, and what happened."""
+
+    condition: Annotated[AnyText, Field(description="The condition.")]
+    setting: Annotated[AnyText, Field(description="The differences from the study's setting.")]
+    prior: Annotated[AnyText, Field(description="The population that the robot assumes.")]
+    population: Annotated[AnyText, Field(description="The population from which people are drawn.")]
+    instance: Annotated[AnyText, Field(description="The task.")]
+    repeat: Annotated[Whole, Field(ge=0, description="The pool, from 0.")]
+    policy: Annotated[AnyText, Field(description="The policy.")]
+    humans: Annotated[Count, Field(description="Team size K.")]
+    draw: Annotated[Whole, Field(ge=0, description="The team, from 0.")]
+    trial: Annotated[Whole, Field(ge=0, description="The episode of this team, from 0.")]
+    people: Annotated[
+        tuple[Whole, ...],
+        Field(description="Numbers in the pool from 1; this and the following lists have one entry for each person."),
+    ]
+    beta: Annotated[tuple[Number, ...], Field(description="True expertise.")]
+    theta: Annotated[tuple[Number, ...], Field(description="True influence at the beginning.")]
+    sigma: Annotated[tuple[Number, ...], Field(description="True deviation of misconceptions.")]
+    actions: Annotated[tuple[Whole, ...], Field(description="Actions.")]
+    costs: Annotated[
+        tuple[Number, ...], Field(description="Costs of these actions, which are the time where costs are durations.")
+    ]
+    helped: Annotated[tuple[Whole, ...], Field(description="Suggestions received.")]
+    finished: Annotated[
+        tuple[Truth, ...], Expected("a list of true and false"), Field(description="Whether the goal was reached.")
+    ]
+    interventions: Annotated[Number, Field(description="Suggestions, and actions that the robot executed.")]
+    moves: Annotated[Number, Field(description="Changes of place.")]
+    steps: Annotated[Number, Field(description="Steps.")]
+    discounted_return: Annotated[Number, Field(description="Sum over steps of gamma^t times the reward.")]
+
+    def __post_init__(self) -> None:
+        for name in ("people", "beta", "theta", "sigma", "actions", "costs", "helped", "finished"):
+            if len(getattr(self, name)) != self.humans:
+                raise ValueError(f"{name}: expected one entry for each of {self.humans} people")
 
 
 @declared
