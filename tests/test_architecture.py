@@ -42,7 +42,7 @@ ROOMS = {
         rounding action_values krylov sparse_iteration policy_iteration mdp_values expected_values qmdp solution_cache
         alpha_vectors upper_hull convex_bound belief_hulls vector_lists hsvi search memory_needed further_beliefs
         solver time_expansion
-        subproblem_frontier attention_subproblem truncated_task state_cache closed_problem
+        subproblem_frontier attention_subproblem frontier_bounds likely_states truncated_task state_cache closed_problem
         growing_problem backups leaf_estimates compliance_relaxation truncated_bound truncated_policy
         person_problem""",
     "assist.team": """policy_names by_policy state action_check assignment seen baselines attention attention_never

@@ -11,7 +11,7 @@ from planner.system.jit import njit
 from planner.system.limits import processors
 
 from ..people.decision import Floats
-from .action_values import BEST, action_values
+from .action_values import BEST, action_values, new_work
 from .mdp_values import sweep_order
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
@@ -34,11 +34,10 @@ def bellman_backup(pomdp: AssistPOMDP, value: Floats) -> Floats:
 def _backup(found: Floats, value: Floats, order: NDArray[np.int64], h: int, m: ProblemArrays) -> None:
     """Fill `found` with the Bellman backups of `value`, for one type."""
     thetas = len(m.theta)
-    q = np.empty((m.suggested.shape[1], thetas))
-    expected, mean, declined = np.empty(thetas), np.empty(thetas), np.empty(thetas)
+    work = new_work(m.suggested.shape[1], thetas)
     for x in order:
-        action_values(q, expected, mean, declined, value, x, h, BEST, m)
+        action_values(work, value, x, h, BEST, m)
         for t in range(thetas):
-            found[x, h, t] = q[0, t]
+            found[x, h, t] = work.q[0, t]
             for r in range(1, m.robot_actions[x]):
-                found[x, h, t] = max(found[x, h, t], q[r, t])
+                found[x, h, t] = max(found[x, h, t], work.q[r, t])

@@ -28,7 +28,7 @@ unchanged, it is the mixture with the weights p_a and 1 - p_a. Lapses contribute
 Without a suggestion, the first term is exact. The returns u are increasing in U, so that C is monotone, and the maximum
 over all robot actions is at least the Bellman backup of W, which is W itself.
 
-The sweeps start at `truncated_task.never_erring`, an upper bound for every person. States outside the swept ones keep
+The sweeps start at `frontier_bounds.never_erring`, an upper bound for every person. States outside the swept ones keep
 this value.
 """
 
@@ -51,9 +51,10 @@ from ..people.decision import Floats
 from ..people.human import Human
 from ..people.misconception import Misconception
 from .assumptions import Assumptions
+from .frontier_bounds import never_erring
+from .likely_states import perceived_of_states
 from .problem_arrays import read_only
 from .rounding import rounding
-from .truncated_task import never_erring, perceived_of_states
 
 Ints = NDArray[np.int64]
 

@@ -111,7 +111,7 @@ class JointBelief:
             policy.problem.hear(x, spoken)
         choices = policy.pomdp.model.choices
         to, joint, erred = _advance(
-            x, self.joint, spoken, *evidence, choices.actions, choices.goals.optimal, policy.arrays, works
+            x, self.joint, spoken, evidence, choices.actions, choices.goals.optimal, policy.arrays, works
         )
         total = float(joint.sum())
         if not total > 0:
@@ -294,10 +294,11 @@ def _chance(likelihood: Floats, seen: int, rate: float, action: int, count: int,
 
 @njit(nogil=True)
 def _advance(
-    x: Ints, joint: Floats, spoken: Ints, likelihood: Floats, seen: int, rate: float, unseen: bool, only: int,
-    actions: Ints, optimal: NDArray[np.bool_], m: ProblemArrays, works: bool,
+    x: Ints, joint: Floats, spoken: Ints, evidence: Evidence, actions: Ints, optimal: NDArray[np.bool_],
+    m: ProblemArrays, works: bool,
 ) -> tuple[Ints, Floats, float]:  # fmt: skip
     """Return the possible rows after an action, their unnormalised probabilities, and that of a mistake."""
+    likelihood, seen, rate, unseen, only = evidence
     types, thetas, number, found = joint.shape[1], joint.shape[2], 0, 0
     for s in range(len(x)):
         number += m.counts[x[s]] + 1

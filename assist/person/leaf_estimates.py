@@ -19,9 +19,10 @@ from planner.system.progress import Progress
 from ..people.decision import Floats
 from ..people.goals import first_of
 from .backups import bellman_backup
+from .frontier_bounds import never_erring
 from .mdp_values import initial_upper_bounds, value_iteration
 from .pomdp import AssistPOMDP
-from .truncated_task import TruncatedTask, never_erring
+from .truncated_task import TruncatedTask
 
 
 @dataclass(frozen=True)

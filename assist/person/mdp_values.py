@@ -17,10 +17,10 @@ from planner.system.progress import Progress
 
 from ..people.decision import Floats
 from .action_values import BEST
-from .policy_iteration import Limits, improve, rounding_error
+from .policy_iteration import improve, rounding_error
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
-from .sparse_iteration import SparseBackup
+from .sparse_iteration import Limits, SparseBackup
 
 ROUGH = 1e-4  # tolerance of values, in cost units, from which sweeps alone may be enough: those of leaves
 MOST_SWEEPS = 10_000  # default limit of sweeps over all states; a dozen are enough in all tasks that were tried

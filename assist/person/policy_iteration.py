@@ -43,7 +43,6 @@ choices (`rounding_error`); users of the bounds add this part.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -59,11 +58,11 @@ from planner.system.progress import Progress
 
 from ..people.decision import Floats
 from . import krylov
-from .action_values import action_values
+from .action_values import action_values, new_work
 from .problem_arrays import ProblemArrays, read_only
 from .rounding import compiled as compiled_rounding
 from .rounding import rounding
-from .sparse_iteration import SparseBackup, improve_small
+from .sparse_iteration import Limits, SparseBackup, improve_small
 
 COMPILED_FOR = "values of a large problem: about four seconds"
 
@@ -83,25 +82,6 @@ INEXACT = 0.05  # equations of a policy that will change are solved to this shar
 FEW_CHANGES = 1e-3  # share of a policy; one that changes by less is nearly the best, and is solved precisely
 UNSIGNED, NEXT = np.uint64, np.uint64(1)  # compiled code asks of signed indices whether they count from the end
 SMALL = 20_000  # values; the sweeps over fewer take less time than to start threads
-
-
-@dataclass(frozen=True)
-class Limits:
-    """When value iteration ends.
-
-    Attributes
-    ----------
-    tolerance : float
-        Largest error of any value, in cost units. Where rounding makes larger errors, these count.
-    sweeps : int
-        Largest number of sweeps over each region.
-    deadline : float
-        Time on the clock of `time.perf_counter()` after which no sweep begins.
-    """
-
-    tolerance: float
-    sweeps: int
-    deadline: float = math.inf
 
 
 def improve(
@@ -149,7 +129,7 @@ def improve(
             progress(SOLVING, swept, None)
 
     if backup is not None:
-        return improve_small(value, robot, arrays, backup, limits.tolerance, limits.sweeps, stop, count, below=below)
+        return improve_small(value, robot, arrays, backup, limits, stop, count, below=below)
     of_goals = [_of_goal(arrays, goal) for goal in range(len(regions))]
 
     def one(h: int) -> bool:
@@ -392,8 +372,8 @@ def sweep(
     of `robot` stands for the best action. Actions that are equal up to rounding do not change the policy.
     """
     robots, thetas, least = m.suggested.shape[1], len(m.theta), compiled_rounding(m.targets.shape[1])
-    row = np.empty((robots, thetas))
-    expected, mean, declined = np.empty(thetas), np.empty(thetas), np.empty(thetas)
+    work = new_work(robots, thetas)
+    row = work.q
     rise, fall, changed = 0.0, 0.0, 0
     for x in order:
         if m.final[m.goal_of[h], x]:
@@ -401,7 +381,7 @@ def sweep(
                 for t in range(thetas):
                     row[r, t] = value[x, h, t] - (m.robot_costs[x, r] if r > 0 else 0.0)
         else:
-            action_values(row, expected, mean, declined, value, x, h, robot[x], m)
+            action_values(work, value, x, h, robot[x], m)
         if len(q) > 0:
             for r in range(robots):
                 for t in range(thetas):

@@ -11,6 +11,7 @@ A problem is small if it has few values, also together with those of the people 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -42,6 +43,25 @@ FEW_CHANGES = 1e-3
 """Share of a policy; one that changes by less is nearly the best, and is solved precisely."""
 
 FEW_BACKUPS = 50  # after which equations are solved rarely; ten are enough almost everywhere
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When value iteration ends.
+
+    Attributes
+    ----------
+    tolerance : float
+        Largest error of any value, in cost units. Where rounding makes larger errors, these count.
+    sweeps : int
+        Largest number of sweeps over each region.
+    deadline : float
+        Time on the clock of `time.perf_counter()` after which no sweep begins.
+    """
+
+    tolerance: float
+    sweeps: int
+    deadline: float = math.inf
 
 
 def is_small(pomdp: AssistPOMDP) -> bool:
@@ -198,8 +218,7 @@ def improve_small(
     robot: Ints,
     m: ProblemArrays,
     backup: SparseBackup,
-    tolerance: float,
-    backups: int,
+    limits: Limits,
     stop: Callable[[], bool],
     count: Callable[[], None],
     *,
@@ -209,7 +228,7 @@ def improve_small(
 
     Values are never less precise than `PRECISE`, so that they hardly depend on the tolerance.
     """
-    least, tolerance = rounding(m.targets.shape[1]), min(tolerance, PRECISE)
+    least, tolerance = rounding(m.targets.shape[1]), min(limits.tolerance, PRECISE)
     active = ~m.final[m.goal_of][:, :, None]
     horizon = m.gamma / (1 - m.gamma)
     outwards, better = (-horizon, np.maximum) if below else (horizon, np.minimum)
@@ -218,7 +237,7 @@ def improve_small(
     bounds = value.swapaxes(0, 1)
     found, solved, settled = bounds.copy(), False, False
     policy = np.where(active, np.maximum(robot, 0)[:, None], np.zeros(found.shape, dtype=np.int64))
-    for number in range(backups):
+    for number in range(limits.sweeps):
         if stop():
             return False
         q = backup.q_values(found)

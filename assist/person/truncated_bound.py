@@ -9,7 +9,7 @@ and its own bound is only as tight as that. So four relaxations are nested, from
 3. a still larger set of states, on which the robot observes beta and people comply
    (`person.compliance_relaxation`). It needs one number per state and beta, so that a million states fit into
    memory;
-4. all other states, in which people never err (`truncated_task.never_erring`).
+4. all other states, in which people never err (`frontier_bounds.never_erring`).
 
 Definition. W(x, p, beta, theta) is the optimal discounted return in the whole task from state x, with the robot at
 position p, with observed beta and theta, and with free attention.

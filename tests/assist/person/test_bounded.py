@@ -19,11 +19,11 @@ from assist.people.ranges import Population
 from assist.person import AssistPOMDP, qmdp, solve, truncated_bound
 from assist.person.assumptions import Assumptions
 from assist.person.attention_subproblem import AttentionSubproblem
+from assist.person.frontier_bounds import never_erring
 from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
 from assist.person.time_expansion import AWAY, HERE
 from assist.person.truncated_bound import BoundSizes, bounded, likely
-from assist.person.truncated_task import never_erring
 from assist.team import Pool
 from planner import Instance, LimitError, Table, sweep
 

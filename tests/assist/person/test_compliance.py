@@ -15,8 +15,8 @@ from assist.people.ranges import Population
 from assist.person import AssistPOMDP, qmdp
 from assist.person.assumptions import Assumptions
 from assist.person.compliance_relaxation import breadth_first, compliance_bounds
+from assist.person.frontier_bounds import never_erring
 from assist.person.robots import OfRobots
-from assist.person.truncated_task import never_erring
 from planner import Instance, Table
 
 GAMMA, LAPSE, C_SUGGEST = 0.95, 0.02, 0.3

@@ -14,7 +14,7 @@ from assist.people.decision import choice, influence, lapse, trust
 from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome
-from assist.person import truncated_task
+from assist.person import frontier_bounds
 from assist.person.assumptions import Assumptions
 from assist.person.closed_problem import closed_problem
 from assist.person.pomdp import AssistPOMDP
@@ -229,7 +229,7 @@ def test_what_is_too_much_to_look_through_is_bounded_with_care(
     ladder = [(node, to, 1) for node in range(1, 7) for to in (node - 1, min(node + 1, 6))]
     part = TruncatedTask.of(sweep(graph_task(ladder + more, start=3)), states=2)
     known = closed_problem(part, Assumptions(gamma=0.9)).frontier
-    monkeypatch.setattr(truncated_task, "SURVEYED", 1)
+    monkeypatch.setattr(frontier_bounds, "SURVEYED", 1)
     careful = closed_problem(part, Assumptions(gamma=0.9)).frontier
     assert known is not None
     assert careful is not None
@@ -246,20 +246,20 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
     tables["corridor"] = sweep(graph_task(drawn["corridor"], start=8))
 
     def found(name: str, **options: int) -> tuple[int, int, float]:
-        survey = truncated_task._Survey.of(tables[name], tables[name].h, **options)
+        survey = frontier_bounds.Survey.of(tables[name], tables[name].h, **options)
         return survey.highest, survey.actions, survey.rise
 
     for block in (1, 2, 5, 1_000_000):
         assert found("ladder", rows_at_a_time=block) == (6, 2, 1.0)
         assert found("corridor", rows_at_a_time=block) == (8, 1, 0.0)  # levels of cost 3
         assert found("dead ends", rows_at_a_time=block) == (6, 3, np.inf)
-    monkeypatch.setattr(truncated_task, "SURVEYED", 7)
+    monkeypatch.setattr(frontier_bounds, "SURVEYED", 7)
     assert found("ladder") == (6, 2, 1.0)  # the ladder has as many states
-    monkeypatch.setattr(truncated_task, "SURVEYED", 6)
+    monkeypatch.setattr(frontier_bounds, "SURVEYED", 6)
     assert found("ladder") == (6, 12, 6.0)
     assert found("dead ends") == (6, 15, np.inf)
     asked = OnDemand(tables["corridor"].task)
-    part = truncated_task._Survey.of(asked, TruncatedTask.of(tables["corridor"], start=4, states=2).choices.h)
+    part = frontier_bounds.Survey.of(asked, TruncatedTask.of(tables["corridor"], start=4, states=2).choices.h)
     assert (part.highest, part.actions, part.rise) == (4, 8, np.inf)
 
 
@@ -267,10 +267,10 @@ def test_the_only_way_up_of_a_task_is_found_in_every_state() -> None:
     corridor = [(node, node - 1, 1) for node in range(1, 5)]
     for node in range(1, 5):
         table = sweep(graph_task([*corridor, (node, 5, 1), (5, node, 1)], start=4))
-        assert truncated_task._Survey.of(table, Choices.of(table)).rise == 1
-        assert truncated_task._Survey.of(table, Choices.of(table), rows_at_a_time=1).rise == 1
+        assert frontier_bounds.Survey.of(table, Choices.of(table)).rise == 1
+        assert frontier_bounds.Survey.of(table, Choices.of(table), rows_at_a_time=1).rise == 1
     done = sweep(graph_task([(1, 0, 1)], start=0))  # a task without anything to do
-    survey = truncated_task._Survey.of(done, Choices.of(done))
+    survey = frontier_bounds.Survey.of(done, Choices.of(done))
     assert (survey.highest, survey.actions, survey.rise) == (0, 1, 0)
 
 

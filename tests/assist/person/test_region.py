@@ -21,6 +21,7 @@ from assist.people.trust_rules import Reliability
 from assist.person import truncated_task as region
 from assist.person.assumptions import Assumptions
 from assist.person.closed_problem import closed_problem
+from assist.person.likely_states import perceived_of_states
 from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
@@ -170,9 +171,7 @@ def test_people_are_the_same_in_a_part_as_in_the_whole() -> None:
     human, part = Human(1.0, 0.5, 1.0, Misconception(1.0, 5)), TruncatedTask.of(table, states=30)
     whole = human.expects(Choices.of(table))
     np.testing.assert_array_equal(human.expects(part.choices), whole[part.states])
-    np.testing.assert_array_equal(
-        region.perceived_of_states(human, table, part.states, part.choices.h), whole[part.states]
-    )
+    np.testing.assert_array_equal(perceived_of_states(human, table, part.states, part.choices.h), whole[part.states])
 
 
 def test_a_part_begins_where_it_is_told_and_ends_with_the_time(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,12 +21,12 @@ from assist.certify.team_bound import TeamBound, upper_bound
 from assist.live import Assistant, live_task
 from assist.people.ranges import Population
 from assist.person import truncated_bound, truncated_policy
+from assist.person.frontier_bounds import never_erring
 from assist.person.observation_model import ObservationModel
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, qmdp
 from assist.person.settings import Setting
 from assist.person.solver import solve
-from assist.person.truncated_task import never_erring
 from assist.team.episodes import Episodes
 from assist.team.pool import Pool
 from assist.team.priority import Priority
