@@ -226,7 +226,8 @@ class Mqtt(Transport):
         """Yield the answer to a report; that to a numbered one is retained, with the number that comes next."""
         topic, person = self.settings.answers, answer.person
         if topic is not None and person and len(person) <= LONGEST_ID and not WILD.search(person):
-            payload = json.dumps(answer.as_dict(session=self.session)).encode()
+            session = {} if answer.next is None else {"session": self.session}
+            payload = json.dumps(answer.as_dict() | session).encode()
             yield Output(topic.topic.fill(person=person), (payload, answer.number is not None))
 
     def forget(self, person: str) -> Iterable[Output]:

@@ -12,8 +12,11 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, Literal
 
+from pydantic import Field
+
+from ...declare.declared import AnyText, Seldom, View, Whole, declared
 from .messages import Report
 
 
@@ -34,41 +37,20 @@ class Message:
     done: Callable[[], object] = field(default=nothing, kw_only=True)
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The answer to a report.
+@declared
+class Answer(View):
+    """The answer to a report; a sender is told all but the person and the origin."""
 
-    Attributes
-    ----------
-    person, id : str or None
-    status : str
-        "recorded" or "refused".
-    detail : str or None
-        Why it was refused.
-    seq : int or None
-        Number of the view that includes it.
-    number : int or None
-        Its place among the reports of this person.
-    next : int or None
-        The number that is expected next, after an answer with a number.
-    origin : str or None
-        What the transport said of where the report came from.
-    """
-
-    person: str | None
-    id: str | None
-    status: str
-    detail: str | None = None
-    seq: int | None = None
-    number: int | None = None
-    next: int | None = None
-    origin: str | None = None
-
-    def as_dict(self, **more: Any) -> dict[str, Any]:
-        """Return what a sender is told, as plain data."""
-        told = {"id": self.id, "status": self.status, "seq": self.seq, "detail": self.detail, "number": self.number}
-        every = told | ({} if self.next is None else {"next": self.next, **more})
-        return {name: value for name, value in every.items() if value is not None or name == "id"}
+    person: Annotated[AnyText | None, Field(exclude=True, description="Who reported.")]
+    id: Annotated[AnyText | None, Field(description="That of the report.")]
+    status: Annotated[Literal["recorded", "refused"], Field(description="What became of it.")]
+    detail: Annotated[AnyText | None, Seldom(), Field(description="Why it was refused.")] = None
+    seq: Annotated[Whole | None, Seldom(), Field(description="Number of the view that includes it.")] = None
+    number: Annotated[Whole | None, Seldom(), Field(description="Its place among the reports of this person.")] = None
+    next: Annotated[Whole | None, Seldom(), Field(description="The number that is expected next.")] = None
+    origin: Annotated[
+        AnyText | None, Field(exclude=True, description="What the transport said of where the report came from.")
+    ] = None
 
 
 @dataclass(frozen=True)
