@@ -259,7 +259,7 @@ def _recovered(task: Any, rate: float, people: int, tasks: int, populations: int
         inside.append(low <= rate <= high)
         found.append(low > 0)
         told.append(np.mean([(o.suggested >= 0).sum() for o in log]))
-        saw.append(np.mean([0 if o.seen is None else len(o.seen.gain) for o in log]))
+        saw.append(np.mean([len(o.seen.gain) for o in log]))
         some = {name: families[name] for name in ("none", "outcome", "followed")}
         chosen.append(compare_rules(log, rules=some, reference="none", folds=2, carry=False).best.model == "outcome")
     return {

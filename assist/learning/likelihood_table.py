@@ -16,7 +16,7 @@ from planner.system.errors import InputFileError
 from planner.system.results import ByContent
 
 from ..people.decision import NOTHING, Floats
-from ..people.neighbours import SeenEvent, SeenRule
+from ..people.neighbours import SeenEvent, SeenNothing, SeenRule
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule
 from .likelihood import Data, Method, largest_beta, with_trust, without_trust
@@ -189,11 +189,9 @@ class LikelihoodTable(ByContent):
     def _moves(self, rule: TrustRule) -> Callable[[Floats, int, bool], Floats]:
         """Return a function of theta, shape (K, T), a suggestion, and whether what was seen was in its episode.
 
-        It returns theta after what was seen then, which is theta itself for rules without neighbours.
+        It returns theta after what was seen then.
         """
-        seen: SeenRule | None = getattr(rule, "seen", None)
-        if seen is None or not self.seen.shape[2]:
-            return lambda theta, _h, _now: theta
+        seen: SeenRule = getattr(rule, "seen", SeenNothing())
         update, (gain, followed, weight, current) = seen.update, np.moveaxis(self.seen, 3, 0)[..., None]
         moves = [(weight > 0) & (current == now) for now in (False, True)]
         some = [[np.flatnonzero(row) for row in one.any(axis=(0, 3))] for one in moves]
@@ -221,11 +219,10 @@ def _seen(observations: Sequence[Observations], most: int) -> Floats:
     each: list[list[list[tuple[float, ...]]]] = []
     for o in observations:
         of_person: list[list[tuple[float, ...]]] = [[] for _ in range(most + 1)]
-        if o.seen is not None:
-            last = int((o.suggested != NOTHING).sum())
-            columns = (o.seen.before, o.seen.gain, o.seen.followed, o.seen.weight, o.seen.now)
-            for before, *event in zip(*(column.tolist() for column in columns), strict=True):
-                of_person[before if before < last else -1].append(tuple(map(float, event)))
+        last = int((o.suggested != NOTHING).sum())
+        columns = (o.seen.before, o.seen.gain, o.seen.followed, o.seen.weight, o.seen.now)
+        for before, *event in zip(*(column.tolist() for column in columns), strict=True):
+            of_person[before if before < last else -1].append(tuple(map(float, event)))
         each.append(of_person)
     width = max((len(events) for of_person in each for events in of_person), default=0)
     found = np.zeros((len(each), most + 1, width, 4))

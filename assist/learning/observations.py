@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -117,11 +117,11 @@ class Seen(ByContent):
         As in `people.neighbours.SeenEvent`.
     """
 
-    before: Ints
-    now: NDArray[np.bool_]
-    gain: Floats
-    followed: NDArray[np.bool_]
-    weight: Floats
+    before: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    now: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    gain: Floats = field(default_factory=lambda: np.zeros(0))
+    followed: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    weight: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -167,8 +167,8 @@ class Observations(Result):
     goals : UnknownGoals, optional
         The choices with each possible goal; None if the goal is known. What depends on the goal in other fields then
         belongs to one goal for each episode.
-    seen : Seen, optional
-        What the person saw of suggestions to neighbours (`neighbours.with_neighbours`).
+    seen : Seen
+        What the person saw of suggestions to neighbours (`neighbours_in_logs.with_neighbours`).
     """
 
     person: str
@@ -189,7 +189,7 @@ class Observations(Result):
     features: Floats
     own: Chances | None = None
     goals: UnknownGoals | None = None
-    seen: Seen | None = None
+    seen: Seen = field(default_factory=Seen)
 
     def __post_init__(self) -> None:
         read_only(self)

@@ -94,7 +94,7 @@ def test_who_is_alone_sees_nothing(tiny: Table) -> None:
     _, trace, _ = logged(tiny, "none", "constant", people=4, episodes=2)
     evidence = replayed(tiny, trace)
     seen = with_neighbours(evidence, Neighbours(rule="outcome", pairs=[]))
-    assert all(len(o.seen.gain) == 0 for o in seen if o.seen is not None)
+    assert all(len(o.seen.gain) == 0 for o in seen)
     plain = LikelihoodTable.of(evidence.observations(), Method()).log_likelihood(constant())
     same = LikelihoodTable.of(seen, Method()).log_likelihood(WithSeen(constant(), SeenOutcome()))
     np.testing.assert_array_equal(plain, same)
@@ -222,7 +222,7 @@ def test_several_goals_are_refused_and_a_log_without_places_has_the_order_of_nam
     places = {name: k for k, name in enumerate(sorted({row["person"] for row in trace}))}
     ordered = [row | {"place": places[row["person"]]} for row in trace]
     one, other = (with_neighbours(replayed(tiny, rows), graph) for rows in (bare, ordered))
-    assert all(a.seen == b.seen and len(a.seen.gain) for a, b in zip(one, other, strict=True))  # type: ignore[union-attr]
+    assert all(a.seen == b.seen and len(a.seen.gain) for a, b in zip(one, other, strict=True))
     with pytest.raises(ValueError, match="place -1: expected a number from 0"):
         with_neighbours(replayed(tiny, [row | {"place": -1} for row in trace]), graph)
     evidence = replayed({"own": tiny, "other": tiny}, trace)
