@@ -26,13 +26,11 @@ CASES = {
         "kitting-3-4 kitting-4-5 --repeat 1 --timeout 60 --sample 10 --sample-seconds 5",
         "kitting-1-1 kitting-1-2 --repeat 1 --peers kitassist",
     ),
-    "counters": ("stock/order battery trays --pairs 3", "stock/two-trays --pairs 1"),
     "crosscheck": ("20", "2"),
     "endurance": (
         "--people 10 --minutes 1 --kills 1",
         "--through mqtt --instance domains/kitting/tiny.pddl --people 2 --minutes 0.03 --kills 1 --every 1",
     ),
-    "enhsp": ("", "stock/one-bin"),
     "explanations": ("", "--pairs 2 --texts 1"),
     "environments": ("--steps 40 --repeat 1", "--instance kitting/tiny --teams 8 --steps 5 --repeat 1"),
     "fit recover": ("--people 100", "--instance kitting/tiny --people 8 --episodes 2"),

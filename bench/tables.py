@@ -25,8 +25,9 @@ from typing import Any
 import click
 
 SETTLED = (
-    "carried", "confidence", "covered", "goals", "habits", "honesty", "ignored", "joint", "kits", "line", "live",
-    "live_timing", "robots", "symbolic", "team", "training", "trust_study", "unreliable", "userstudy_intervals",
+    "carried", "confidence", "counters", "covered", "enhsp", "goals", "habits", "honesty", "ignored", "joint", "kits",
+    "line", "live", "live_timing", "robots", "symbolic", "team", "training", "trust_study", "unreliable",
+    "userstudy_intervals",
 )  # fmt: skip
 """Scripts, or some of their commands, whose questions are settled; `git show c450d907:bench/NAME.py` has them."""
 
