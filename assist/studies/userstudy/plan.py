@@ -32,25 +32,16 @@ Members = Annotated[Whole, Field(ge=2, le=20), Expected("a whole number from 2 t
 Day = Annotated[date, Strict(), Expected("a date such as 2027-03-31")]
 
 
-@dataclass(frozen=True)
+@declared
 class Condition:
-    """A condition, varied between participants or within each.
+    """A table of `conditions`, which vary between participants or within each."""
 
-    Attributes
-    ----------
-    name : str
-    policy : str
-        Name of a team policy, or FILE.py:FUNCTION.
-    setting : Setting
-        The study's setting, with what differs in this condition.
-    reasons : bool
-        Whether participants see the reasons of suggestions.
-    """
-
-    name: str
-    policy: str
-    setting: Setting
-    reasons: bool
+    name: Annotated[Text, Field(description="Name of the condition.")]
+    policy: Annotated[Text, Field(description="A shipped team policy, or FILE.py:FUNCTION.")]
+    setting: Annotated[Setting, Field(description="The study's setting, with what differs in this condition.")] = (
+        Setting()
+    )
+    reasons: Annotated[Truth, Field(description="Whether participants see the reasons of suggestions.")] = False
 
 
 @declared

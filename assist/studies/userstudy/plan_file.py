@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import field
+from dataclasses import field, replace
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
@@ -19,7 +19,7 @@ from planner.pddl.instance_finder import bundled_files
 from planner.system.errors import expected as meant
 
 from ...declare.catalogue import FIRST, Catalogue, catalogue
-from ...declare.declared import AnyTable, Expected, Text, Texts, Truth, Whole, declared, names_of
+from ...declare.declared import AnyTable, Expected, Text, Texts, Truth, Whole, declared, names_of, shown
 from ...declare.tables import convert, fault, load, located, replaced
 from ...people.ranges import Population
 from ...people.real_people import advice_takers
@@ -34,28 +34,13 @@ from .questionnaires import BEFORE, END, Questionnaire
 Mates = Annotated[Whole, Field(ge=0, le=20), Expected("a whole number from 0 to 20")]
 
 
-@declared
-class ConditionTable:
-    """A table of `conditions`."""
-
-    name: Annotated[Text, Field(description="Name of the condition.")]
-    policy: Annotated[Text, Field(description="A shipped team policy, or FILE.py:FUNCTION.")]
-    setting: Annotated[AnyTable, Field(description="Fields of the setting that differ from the study's.")] = field(
-        default_factory=dict
-    )
-    reasons: Annotated[
-        Truth | None,
-        Field(description="Whether participants see the reasons of suggestions, if it differs from the study."),
-    ] = None
-
-
 @declared(kw_only=True)
 class FileTable(UserStudyPlan):
     """The whole file."""
 
     tasks: Annotated[Texts, Field(description="Problems, as files or names of shipped tasks, in order.")]
     conditions: Annotated[
-        tuple[ConditionTable, ...],
+        tuple[AnyTable, ...],
         Field(description="Conditions with name and policy, and with setting and reasons where they differ."),
     ]
     consent: Annotated[Text, Field(description="Text in Markdown to which participants consent.")]
@@ -119,7 +104,9 @@ def first_difference(before: str, after: str) -> dict[str, Any]:
 
 
 def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
-    names = _conditions(file, table.conditions, carried_out)
+    setting = _setting(file, table.setting)
+    conditions = _conditions(file, table, carried_out)
+    names = [one.name for one in conditions]
     found = partial(_instance, file, carried_out=carried_out)
     if table.design == WITHIN and len(names) < 2:
         raise fault(file, "design", f"'{WITHIN}' with one condition; expected two or more")
@@ -131,15 +118,6 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         raise fault(file, "tasks", "two tasks have the same file name; expected different names")
     words = _words(file, table.language, carried_out)
     questionnaires = questionnaires_of(file, table.questionnaires, names, words, within=table.design == WITHIN)
-    setting = _setting(file, table.setting)
-    conditions = tuple(
-        Condition(
-            own.name, own.policy,
-            _setting(file, table.setting | own.setting, f"conditions[{number}].setting") if own.setting else setting,
-            table.reasons if own.reasons is None else own.reasons,
-        )
-        for number, own in enumerate(table.conditions, start=1)
-    )  # fmt: skip
     _check_group(file, table)
     _check_confirmatory(file, table.confirmatory, questionnaires)
     study = UserStudy(
@@ -205,12 +183,22 @@ def _check_comparisons(file: Path, study: UserStudy) -> None:
             )
 
 
-def _conditions(file: Path, tables: tuple[ConditionTable, ...], carried_out: bool) -> list[str]:
-    names = [own.name for own in tables]
-    different(file, "conditions", names)
-    for number, own in enumerate(tables, start=1):
-        own_policy(file, f"conditions[{number}].policy", own.policy, must_exist=not carried_out)
-    return names
+def _conditions(file: Path, table: FileTable, carried_out: bool) -> tuple[Condition, ...]:
+    """Return the conditions, each with the study's setting and reasons where it has none of its own."""
+    found = []
+    for number, own in enumerate(table.conditions, start=1):
+        place = f"conditions[{number}]"
+        whole = {"reasons": table.reasons} | own
+        one = convert({name: value for name, value in whole.items() if name != "setting"}, Condition, file, place)
+        content = own.get("setting", {})
+        if not isinstance(content, dict):
+            raise fault(file, f"{place}.setting", f"{shown(content)}; expected a table")
+        where = f"{place}.setting" if content else "setting"
+        found.append(replace(one, setting=_setting(file, table.setting | content, where)))
+    different(file, "conditions", [one.name for one in found])
+    for number, one in enumerate(found, start=1):
+        own_policy(file, f"conditions[{number}].policy", one.policy, must_exist=not carried_out)
+    return tuple(found)
 
 
 def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instance:
