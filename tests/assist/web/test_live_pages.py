@@ -540,7 +540,7 @@ def test_people_and_the_operator_see_and_answer_questions_about_probable_goals(c
         seat.goto(running.links["person-1"])
         seat.locator('#asked:has-text("Is your goal travel?")').wait_for()
         assert violations(seat) == []
-        assert seat.locator("#goal-word").is_hidden()
+        seat.locator("#goal-word").wait_for(state="hidden")  # once the drawing is there
         seat.click('#answers button:has-text("Yes")')
         seat.wait_for_selector("#question", state="hidden")
         page.wait_for_selector('.plot[aria-label="Goal: travel 100 %, mend 0 %, mount 0 %"]')
