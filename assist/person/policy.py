@@ -161,7 +161,8 @@ class Policy:
     @property
     def helped(self) -> OfRows | None:
         """Values of a robot that helps a person whose type and theta it knows; None if `pomdp` has to be solved."""
-        return None
+        value = getattr(self.prepare(), "value_mdp", None)
+        return None if value is None else value.__getitem__
 
     @property
     def unhelped(self) -> OfRows | None:

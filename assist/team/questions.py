@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from ..people.hidden_type import HiddenType
 from ..person.beliefs import Beliefs
 from ..person.joint_belief import JointBelief, expected_answers
 from ..person.policy import OfRows, Policy
-from ..person.qmdp import QMDP, qmdp
+from ..person.qmdp import qmdp
 from ..person.settings import Setting
 from ..person.ties import NEAR, first_best
 from .attention_never import without_help
@@ -168,9 +168,7 @@ def benefit(policy: Policy) -> OfRows:
     """Return the benefit of a robot that knows a person's type and theta, as a function of rows."""
     helped, unhelped = policy.helped, without_help(policy)
     if helped is None:
-        solved: Any = policy.prepare()
-        known = solved if isinstance(solved, QMDP) else qmdp(policy.pomdp)
-        helped = known.value_mdp.__getitem__
+        helped = qmdp(policy.pomdp).value_mdp.__getitem__
     return lambda x: np.maximum(helped(x) - unhelped(x), 0.0)
 
 
@@ -179,10 +177,10 @@ def worth_of_knowing(policy: Policy, joint: JointBelief) -> float:
 
     It is the increase of the QMDP value; infinite for other policies.
     """
-    solved: Any = policy.prepare()
-    if not hasattr(solved, "value_mdp"):
+    helped = policy.helped
+    if helped is None:
         return float("inf")
     rows = joint.rows(policy)
     likeliest = rows[joint.probability.argmax()][None]
-    known = float((joint.joint * solved.value_mdp[rows]).sum())
+    known = float((joint.joint * helped(rows)).sum())
     return known - float(expected_answers(worth_of_actions, policy, likeliest, [joint]).max())

@@ -14,12 +14,13 @@ from test_unreliable_observations import by_enumeration, problem
 
 from assist.declare import InapplicableError, Refusal
 from assist.learning.log import Log
-from assist.live import Assistant, Session
+from assist.live import Assistant, Session, live_task
 from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
 from assist.person import QMDP, ObservationModel, Setting, joint_belief, qmdp
 from assist.person.assumptions import Assumptions
 from assist.person.truncated_policy import SharedTask, TruncatedPolicy
+from assist.team.questions import worth_of_knowing
 from planner import Table
 
 FETCH, OTHER = "(fetch box-a)", "(fetch box-b)"
@@ -226,6 +227,23 @@ def test_what_is_no_observation_is_refused_and_changes_nothing() -> None:
     with pytest.raises(ValueError, match="an uncertain action: expected a setting with an observation model"):
         desk(Setting()).observe("ann", missed=0.1)
     assert team.to_json() == before
+
+
+def test_what_an_answer_is_worth_does_not_depend_on_the_size_of_the_task(
+    tiny: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worth = list[float]()
+    for size in (True, False):
+        monkeypatch.setattr(live_task, "is_whole", lambda _, size=size: size)
+        team = Assistant(tiny, ["ann"], setting=NOISY)
+        other = team.person("ann").applicable[-1]
+        team.observe("ann", likelihoods={FETCH: 0.8, other: 0.2})
+        record = team.roster.by_name["ann"]
+        assert record.joint is not None
+        assert record.problem.policy.problem.complete == size
+        worth.append(worth_of_knowing(record.problem.policy, record.joint))
+    assert worth[1] == pytest.approx(worth[0], abs=1e-9)
+    assert 0 < worth[0] < 10
 
 
 def test_uncertain_actions_on_a_task_that_is_not_enumerated(tiny: Table) -> None:
