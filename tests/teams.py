@@ -52,5 +52,6 @@ def reachable(thing: Any, path: str, found: dict[str, np.ndarray]) -> dict[str, 
         reachable(thing.prepare(), path, found)
     elif is_dataclass(thing):
         for name in {field.name for field in fields(thing)} | set(vars(thing)):
-            reachable(getattr(thing, name), f"{path}.{name}", found)
+            if (held := getattr(thing, name)) is not thing:  # the empty neighbourhood is what is believed of it
+                reachable(held, f"{path}.{name}", found)
     return found

@@ -1,8 +1,8 @@
 """The state of a team as its robot knows it, and the form of a team policy.
 
 A team policy is a function of the robot's knowledge of many teams at a time (`TeamState`). It returns where the robot
-goes and what it suggests (`TeamAction`). `assist.team.attention` has the policies of the paper; any callable of the
-same form can be used.
+goes and what it suggests (`TeamAction`). `attention` and `baselines` have the policies of the paper; any callable of
+the same form can be used.
 """
 
 from __future__ import annotations
