@@ -112,7 +112,7 @@ def test_no_simulated_policy_exceeds_the_bound(tiny: Table, rule: str, robots: i
     pool = pool_of(tiny, RULES[rule], robots=robots)
     bound = upper_bound(pool, [0, 1], time_limit=2)
     for name in ("attention", "attention-outlook", "priority"):
-        found = bound.certify(name, episodes=1000)
+        found = bound.certify(name, episodes=400)
         assert found.value - 3 * found.value_stderr <= bound.upper
 
 

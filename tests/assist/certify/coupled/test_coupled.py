@@ -129,7 +129,7 @@ def test_samples_are_between_the_optimum_and_the_prices_bound(seed: int, count: 
     assert by_prices.mean <= solved.upper + 1e-9
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 3), st.floats(0, 2))
 def test_without_chance_samples_give_the_optimum(seed: int, count: int, M: float) -> None:
     rng = np.random.default_rng(seed)
