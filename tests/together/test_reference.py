@@ -6,7 +6,7 @@ import dataclasses
 import inspect
 import re
 from importlib import import_module
-from typing import Any
+from typing import Any, get_type_hints, is_typeddict
 
 import pytest
 from conftest import ROOT
@@ -36,7 +36,9 @@ def listed(documented: Any) -> set[str]:
 
 
 def expected(value: Any) -> set[str]:
-    """Return the names to be listed: fields of a dataclass, or parameters of another callable."""
+    """Return the names to be listed: fields of a dataclass, entries of options, or parameters of another callable."""
+    if is_typeddict(value):
+        return set(get_type_hints(value))
     if inspect.isclass(value) and (issubclass(value, BaseException) or getattr(value, "_is_protocol", False)):
         return set()
     if dataclasses.is_dataclass(value):
