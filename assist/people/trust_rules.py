@@ -7,7 +7,8 @@ moves on the logit scale by the outcome of the advice (`outcome`, `outcome_at_di
 any frozen object with the attributes and the method of `TrustRule`.
 
 A rule is a deterministic map of theta and an `Event`. The robot's problem of one person evaluates it at its grid of
-theta, and a simulation at the people's own values, so that there is one definition of each rule. Where a rule has an
+theta, and a simulation at the people's own values, so that there is one definition of each rule. Only equation (7), the
+default, is written a second time, in `person.dynamics`, for speed; tests compare the two. Where a rule has an
 attribute `counts`, the number of outcomes that a person has seen is part of the map, up to that number (`moved`).
 """
 

@@ -1,5 +1,9 @@
 """Posteriors of many people's beliefs after their choices, in numpy: the readable definition of `belief_filter`.
 
+An update has three parts. The belief is multiplied by the likelihood of the choice under the theta before it. Then
+theta moves, as the trust rule says for this robot action and this answer: each cell is divided between two. Goals that
+are reached in the new state are left out last, for somebody who has reached their goal acts no more.
+
 Sums run over the cells in the order of the compiled code, one after the other, so that both give the same bits.
 Shapes are those of `belief_filter`, with one row for each person.
 """
@@ -70,6 +74,8 @@ def influence(theta: Floats, p: Floats, others: Floats) -> tuple[Floats, Floats]
 
 def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArrays) -> tuple[Floats, Floats]:
     """Return unnormalised posteriors after one choice each, shape (N, H, T), and their masses, shape (N,).
+
+    They are the belief times the likelihood under the theta before, with theta then moved by `low` and `weight`.
 
     Parameters
     ----------

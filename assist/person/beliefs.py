@@ -3,10 +3,12 @@
 There is one interface with two storages. `Seen` (`seen_beliefs`) is for people whose task states are known: dense
 arrays, which change by `belief_update.update_readable`. `Hidden` (`hidden_beliefs`) is for people whose actions may be
 missed or confused: it adds a distribution over task states for each person whose state is uncertain. In both, the type
-is uncertain, and with it a goal that is unknown. Whoever holds beliefs does not ask which of the two they are:
+is uncertain, and with it a goal that is unknown. `team.goal_knowledge` and live teams choose a storage when they begin.
+Who holds beliefs later does not ask which of the two they are:
 
 - `observe` updates them by a step of a simulation, `update` by actions that were seen as they are;
 - `told` updates them by an answer, whose likelihood under each type is known;
+- `moved` moves theta by what people have seen of their neighbours;
 - `expected` answers a question about people, as an expected value over what is uncertain;
 - `x` has the most probable state of each person, `belief` the belief in their type, and `erred` whether their last
   action was probably a mistake; `finished` is the probability that they have reached their goal.

@@ -1,7 +1,9 @@
 """One step of many people: their choices, their tasks and their trust.
 
-The equations are those of `assist.people.decision`. `act_readable` applies them to arrays. `act_compiled`
-(`dynamics_kernel`) gives the same bits. `act` is the readable one first. What the robot learns from it is in `beliefs`.
+Equations (6) and (7) are written here once more, for arrays of people; tests compare them with
+`assist.people.decision`. Equation (5) is in `Minds.p`. `act_compiled` (`dynamics_kernel`) gives the same bits as
+`act_readable`; `act` calls the readable one first. Other trust rules move theta in `team.trust_of_people`. What the
+robot learns is in `beliefs`.
 """
 
 from __future__ import annotations

@@ -66,7 +66,11 @@ class Fleet:
 
     @property
     def best(self) -> Robot:
-        """The best robot: it can do what any can, at the lowest cost and in the shortest time of any."""
+        """The best robot: it can do what any can, at the lowest cost and in the shortest time of any.
+
+        Its fields are the least of any robot. A field of which more is better has to be told apart here, or bounds
+        would not hold.
+        """
         kind = type(self.robots[0])
         return kind(execute=self.executes, **{name: self.least(name) for name in names_of(kind) if name != "execute"})
 

@@ -81,6 +81,11 @@ class Hidden(Seen):
         seen = [Reported(Evidence.of(model.choices, {action: 1.0})) for action in actions[x, slot].tolist()]
         self.update_by(rows[at], words, seen, model)
 
+    def moved(self, rows: Ints, low: Ints, weight: Floats) -> None:
+        """Move theta of some people whose states are known, as in `Beliefs`."""
+        assert not self.joints, "settings with neighbours and uncertain actions are refused"
+        super().moved(rows, low, weight)
+
     def update_by(self, rows: Ints, said: Ints, evidence: Sequence[Glimpse], model: PersonModel) -> None:
         """Update the beliefs in some people of one model by what was seen of their actions.
 

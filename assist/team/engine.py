@@ -119,7 +119,8 @@ class StepTaken(NamedTuple):
     slot : int array, shape (N, K)
         Slot of each person's choice; `NOTHING` if they did not act.
     cost, reward : float arrays, shape (N, K)
-        Cost of each person's choice; and minus this cost and those of the robots' actions and ways for the person.
+        Cost of each person's choice; and minus this cost and those of the questions to the person, and of the robots'
+        waiting, actions and ways for them.
     saw : Saw
         Who saw somebody else helped.
     """
@@ -146,7 +147,8 @@ class Engine:
     people : PeopleAtWork
     robots : RobotsAtWork
     beliefs : Beliefs
-        Of the N K people, in the order of the flattened arrays. For people whose states are known, `x` is `people.row`.
+        Of the N K people, in the order of the flattened arrays. For people whose states are known, `x` is the array
+        `people.row` itself, so that a step of people moves both.
     acted_on : callable, optional
         Returns the beliefs on which the robots act, from those that they have; by default the same.
 
@@ -270,7 +272,11 @@ class Engine:
         return StepTaken(now, clock, sent, executes, before, robot, theta, slot, cost, -charged - cost, saw)
 
     def _say(self, sent: Sent) -> tuple[Ints, Bools, Floats]:
-        """Return the robot action for each person, which robots execute an action, and the costs for each person."""
+        """Return the robot action for each person, which robots execute an action, and the costs for each person.
+
+        Costs are those of moves, of waiting beside somebody at work, of suggestions and of executions. They are added
+        to those of this step's questions. No two robots go to one person, which `action_check` makes sure of.
+        """
         policies, groups, fleet = self.tasks.policies, self.tasks.groups, self.robots.fleet
         said, charged, executes = np.zeros_like(self.people.place), self._charged, np.zeros(len(sent.team), dtype=bool)
         if fleet.extra[:, NOTHING_DONE].any() or not all(policies[n].pomdp.waits_for_free for n, _ in self.now.groups):

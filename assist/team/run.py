@@ -23,7 +23,7 @@ from .pool import Pool
 from .questions import Questions
 from .requested import Requested
 from .robots_at_work import RobotsAtWork
-from .state import TeamAction, TeamPolicy
+from .state import NOBODY, TeamAction, TeamPolicy
 from .task_view import TaskView
 from .watcher import Watcher
 
@@ -168,5 +168,5 @@ class Simulation:
 
 def nothing(engine: Engine, teams: Ints) -> TeamAction:
     """Return the action of leaving the robots of some teams where they are."""
-    stays = np.full((len(teams), len(engine.robots.fleet)), NOTHING)
+    stays = np.full((len(teams), len(engine.robots.fleet)), NOBODY)
     return TeamAction(stays, np.zeros_like(stays))

@@ -9,7 +9,7 @@ import click
 import pytest
 from conftest import ROOT
 
-from assist.team import attention
+from assist.team import engine
 
 RUN = importlib.import_module("run")
 CASES: dict[str, tuple[str, str]] = RUN.CASES
@@ -38,7 +38,7 @@ def test_a_benchmark_has_the_options_it_is_run_with(name: str) -> None:
 
 
 def test_a_mutant_differs_in_one_place() -> None:
-    mutants = importlib.import_module("mutants").mutants_of(attention)
+    mutants = importlib.import_module("mutants").mutants_of(engine)
     lines = ast.unparse(mutants[0].tree).splitlines()
     assert len(mutants) > 20
     for mutant in mutants:

@@ -17,10 +17,15 @@ from assist.person.people_arrays import Minds, PeopleArrays
 from assist.person.problem_arrays import Acts, ProblemArrays, read_only
 from planner.system.compiling import ReadableFirst
 
+VALUES = np.array([0.0, 0.3, 0.9, 1.0])
+"""Values of theta; a rule that counts outcomes repeats them."""
 
-def problem(rng: np.random.Generator, goals: int, *, answers: bool, lapse: float) -> ProblemArrays:
+
+def problem(
+    rng: np.random.Generator, goals: int, *, answers: bool, lapse: float, outcomes: int = 0
+) -> ProblemArrays:  # fmt: skip
     """Return a problem of random numbers, in the shapes of a real one: some choices and suggestions are impossible."""
-    states, slots, robots, betas, thetas = 5, 4, 3, 2, 4
+    states, slots, robots, betas, thetas = 5, 4, 3, 2, len(VALUES) * (outcomes + 1)
     n, types = states, goals * betas
     counts = rng.integers(1, slots + 1, n)
     chosen = rng.random((n, slots, types)) * (np.arange(slots) < counts[:, None])[:, :, None]
@@ -41,7 +46,7 @@ def problem(rng: np.random.Generator, goals: int, *, answers: bool, lapse: float
         "suggested": suggested, "afterstate": afterstate, "robot_costs": rng.random((n, robots)), "chosen": chosen,
         "unsuggested": np.maximum(0.0, 1.0 - p), "low": tables[0], "weight": weights[0],
         "followed_low": tables[answers], "followed_weight": weights[answers],
-        "theta": np.array([0.0, 0.3, 0.9, 1.0]),
+        "theta": np.tile(VALUES, outcomes + 1),
     }  # fmt: skip
     return ProblemArrays(
         **{name: read_only(array) for name, array in arrays.items()}, uses_answer=answers, gamma=0.99, lapse=lapse
@@ -60,17 +65,20 @@ LAPSES = st.sampled_from([0.0, 0.001, 0.3])
 
 
 @settings(max_examples=40, deadline=None)
-@given(SEEDS, GOALS, st.booleans(), LAPSES, st.booleans(), st.sampled_from([0, 1, 2, 50]))
-def test_a_step_of_people(seed: int, goals: int, answers: bool, lapse: float, on_grid: bool, people: int) -> None:
-    rng = np.random.default_rng(seed)
-    m = problem(rng, goals, answers=answers, lapse=max(lapse, 1e-6))
+@given(SEEDS, GOALS, st.booleans(), LAPSES, st.sampled_from([None, 0, 2]), st.sampled_from([0, 1, 2, 50]))
+def test_a_step_of_people(
+    seed: int, goals: int, answers: bool, lapse: float, outcomes: int | None, people: int
+) -> None:  # fmt: skip
+    """With a number of outcomes that the rule counts, people are those of the robot's model, on its grid."""
+    rng, on_grid, outcomes = np.random.default_rng(seed), outcomes is not None, outcomes or 0
+    m = problem(rng, goals, answers=answers, lapse=max(lapse, 1e-6), outcomes=outcomes)
     p = rng.random((3, len(m.counts), m.chosen.shape[1])) * (rng.random((3, len(m.counts), 1)) < 0.9) + 1e-6
     value = rng.choice([0.0, -1.0, -np.inf, -2.5], (3, len(m.counts)))
     minds = Minds(read_only(rng.integers(0, goals, 3)), p, value, float(rng.choice([0.0, 0.2])), lapse, on_grid)
     states = rng.integers(0, len(m.counts), people)
     first = PeopleArrays(
         states, rng.integers(0, 3, people), rng.integers(0, 3, people), rng.choice(m.theta, people),
-        np.zeros(people, dtype=np.int64), rng.random((people, 2)), np.full(people, -1), np.zeros(people),
+        rng.integers(0, outcomes + 1, people), rng.random((people, 2)), np.full(people, -1), np.zeros(people),
     )  # fmt: skip
     rows = np.flatnonzero(rng.random(people) < 0.8)
     both = [PeopleArrays(*(array.copy() for array in first)) for _ in range(2)]
