@@ -7,7 +7,7 @@ state `x`. The rest of this package uses these arrays, and does not depend on PD
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,17 @@ from numpy.typing import NDArray
 from planner import AnyTask, Table, known_costs
 from planner.system.arrays import outline, read_only
 
-from .hidden_type import KNOWN, OfGoals
+from .hidden_type import KNOWN, Bools, Floats, OfGoals
 from .slots import WAIT as WAIT
 from .slots import padded
 from .state_keys import keys_of
 
 T = TypeVar("T", bound=np.generic)
+
+OF_ROWS = (
+    "h", "goal", "applicable", "actions", "targets", "costs", "optimal", "state", "features", "key", "offered",
+)  # fmt: skip
+"""The attributes of `Choices` with an entry for each row, apart from those of each goal."""
 
 STAND_STILL = "(wait)"
 """Name of waiting."""
@@ -131,8 +136,23 @@ class Choices:
 
     def require_one_goal(self, what: str) -> None:
         """Raise a `ValueError` that names `what`, if a person's goal is one of several."""
-        if len(self.goals) > 1:
+        if self.goals.distinguished:
             raise ValueError(f"{what}: expected people whose goal is known, and there are {len(self.goals)} goals")
+
+    def of_rows(self, rows: NDArray[np.int64], **changed: Any) -> Choices:
+        """Return the choices in some rows, shape (m,), with other attributes where they are given.
+
+        Numbers of successors stay as they are. Where rows have other numbers then, `targets` are among what is given.
+        """
+        every: dict[str, Any] = {name: getattr(self, name) for name in OF_ROWS if name not in changed}
+        own = {name: array[rows] for name, array in every.items() if array is not None}
+        goals = None if self.unknown_goal is None else self.unknown_goal.of_rows(rows)
+        return replace(self, **own, unknown_goal=goals, **changed)
+
+    def with_goals(self, h: Floats, goal: Bools, for_each: Bools, **changed: Any) -> Choices:
+        """Return the choices with other arrays of each goal, as in `OfGoals`, and other attributes."""
+        own = None if self.unknown_goal is None else replace(self.unknown_goal, h=h, goal=goal, optimal=for_each)
+        return replace(self, h=h.min(axis=0), goal=np.asarray(goal.all(axis=0)), unknown_goal=own, **changed)
 
     @property
     def unit(self) -> float:

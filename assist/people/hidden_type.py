@@ -17,6 +17,7 @@ What is about goals in particular stands here, or in `type_kernels` for compiled
 - QMDP counts the goal as known from the next step on, so that waiting seems too good. The robot therefore acts on
   sharper probabilities of goals, or on the most probable goal alone (`HiddenType.acting`).
 - What is known for each goal is averaged over the goals (`mean_over_goals`).
+- Whether there is anything to know or to ask about goals is `several`, and nothing else counts them.
 
 A further part, such as a workload, is one more entry of `HiddenType.parts`, with its effect on `expertise` and its
 probabilities in `prior`: in a class of one's own, which `person.Assumptions` takes, as `docs/contributing.md` shows.
@@ -25,7 +26,7 @@ probabilities in `prior`: in a class of one's own, which `person.Assumptions` ta
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -82,13 +83,27 @@ class OfGoals:
         return replace(self, h=self.h[:, rows], goal=self.goal[:, rows], optimal=self.optimal[rows])
 
     @property
+    def distinguished(self) -> bool:
+        """Whether there are several; see `several`."""
+        return several(self.prior)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The goals' names."""
         return tuple(self.prior)
 
     def shown(self, goal: int) -> str | None:
         """Return the name of a goal, by its number; None if it is known, so that people need no name for it."""
-        return self.names[goal] if len(self) > 1 else None
+        return self.names[goal] if self.distinguished else None
+
+
+def several(goals: Sized) -> bool:
+    """Return whether a person's goal is one of several.
+
+    Then the robot needs beliefs to know what is optimal for them, and may ask. Where the code for several goals does
+    the same for one, it does not ask this.
+    """
+    return len(goals) > 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +138,11 @@ class HiddenType:
     def __len__(self) -> int:
         return math.prod(self.parts.values())
 
+    @property
+    def distinguishes_goals(self) -> bool:
+        """Whether types differ by their goals; see `several`."""
+        return several(self.goals)
+
     def part(self, name: str) -> Ints:
         """Return the number of the value that each type has of a part, shape (H,)."""
         number = list(self.parts).index(name)
@@ -154,11 +174,11 @@ class HiddenType:
 
     def share_of_goals(self, belief: Callable[[], Floats]) -> Floats:
         """Return the probability of each goal, shape (..., G), under beliefs; (1,) without these for a known goal."""
-        return self.marginal(belief(), "goal") if len(self.goals) > 1 else np.ones(1)
+        return self.marginal(belief(), "goal") if self.distinguishes_goals else np.ones(1)
 
     def goals_shown(self, belief: Floats) -> dict[str, float]:
         """Return the probability of each goal under a belief, shape (H, T); nothing if the goal is known."""
-        if len(self.goals) == 1:
+        if not self.distinguishes_goals:
             return {}
         return dict(zip(self.goals, self.marginal(belief, "goal").tolist(), strict=True))
 
@@ -180,7 +200,7 @@ class HiddenType:
 
     def given_likeliest(self, belief: Floats) -> Floats:
         """Return each belief conditioned on its most probable goal; ties favour the first goal."""
-        if len(self.goals) == 1:
+        if not self.distinguishes_goals:
             return belief
         share = self.marginal(belief, "goal")
         best = np.arange(share.shape[-1]) == share.argmax(axis=-1)[..., None]
@@ -188,7 +208,7 @@ class HiddenType:
 
     def sharpened(self, belief: Floats) -> Floats:
         """Return beliefs with the probability of each goal raised to the power `sharpness`."""
-        if self.sharpness == 1 or len(self.goals) == 1:
+        if self.sharpness == 1 or not self.distinguishes_goals:
             return belief
         share = self.marginal(belief, "goal")
         weight = (share / share.max(axis=-1, keepdims=True)) ** self.sharpness

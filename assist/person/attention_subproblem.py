@@ -185,23 +185,10 @@ def _choices(choices: Choices, layout: TimeExpansion, ends: NDArray[np.bool_]) -
     position = np.where(layout.position > HERE, layout.position - 1, layout.position)
     targets = layout.number(layout.step[:, None] + 1, position[:, None], choices.targets[x])
     applicable = choices.applicable[x] & ~ends[:, None]
-    return replace(
-        choices,
-        state=None,
-        terms=None,
-        features=None,
-        key=None if choices.key is None else choices.key[x],
-        h=choices.h[x],
-        goal=choices.goal[x],
-        applicable=applicable,
-        actions=choices.actions[x],
-        targets=np.where(applicable, targets, own[:, None]),
-        costs=choices.costs[x],
-        optimal=choices.optimal[x],
-        offered=None,
-        unknown_goal=None if choices.unknown_goal is None else choices.unknown_goal.of_rows(x),
-        initial=int(layout.number(0, AWAY, choices.initial)),
-    )
+    return choices.of_rows(
+        x, applicable=applicable, targets=np.where(applicable, targets, own[:, None]),
+        initial=int(layout.number(0, AWAY, choices.initial)), state=None, terms=None, features=None, offered=None,
+    )  # fmt: skip
 
 
 def _require_memory(alone: AssistPOMDP, layout: TimeExpansion) -> None:

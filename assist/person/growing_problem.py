@@ -277,13 +277,10 @@ class GrowingProblem(ProblemRows):
         rows, pomdp = self._rows, self.first
         choices, uses_answer = pomdp.model.choices, pomdp.followed_low is not None
         h, goal = (np.ascontiguousarray(rows[name].T) for name in ("h", "goal"))
-        goals = choices.unknown_goal
-        if goals is not None:
-            goals = replace(goals, h=h, goal=goal, optimal=rows["optimal"])
-        choices = replace(
-            choices, h=h.min(axis=0), goal=np.asarray(goal.all(axis=0)), applicable=rows["applicable"],
-            actions=rows["actions"], targets=rows["targets"], costs=rows["costs"], optimal=rows["best"],
-            features=None if choices.features is None else rows["features"], key=rows["key"], unknown_goal=goals,
+        choices = choices.with_goals(
+            h, goal, rows["optimal"], applicable=rows["applicable"], actions=rows["actions"], targets=rows["targets"],
+            costs=rows["costs"], optimal=rows["best"], key=rows["key"],
+            features=None if choices.features is None else rows["features"],
         )  # fmt: skip
         own: dict[str, Any] = {
             name: rows[name]

@@ -7,7 +7,6 @@ all people and rows.
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -159,15 +158,8 @@ def _around(choices: Choices, rows: NDArray[np.int64]) -> Choices:
     leaf = np.arange(len(every)) >= count
     targets = np.where(leaf, np.arange(len(every)), 0)[:, None].repeat(choices.targets.shape[1], axis=1)
     targets[:count] = count + np.searchsorted(after, choices.targets[rows])
-    goals = choices.unknown_goal
-    return replace(
-        choices, h=choices.h[every], goal=choices.goal[every], applicable=choices.applicable[every] & ~leaf[:, None],
-        actions=choices.actions[every], targets=targets, costs=choices.costs[every], optimal=choices.optimal[every],
-        state=None if choices.state is None else choices.state[every], key=choices.keys[every],
-        features=None if choices.features is None else choices.features[every],
-        unknown_goal=None if goals is None else goals.of_rows(every),
-        offered=None if choices.offered is None else choices.offered[every],
-    )  # fmt: skip
+    applicable = choices.applicable[every] & ~leaf[:, None]
+    return choices.of_rows(every, applicable=applicable, targets=targets, key=choices.keys[every])
 
 
 def _larger(array: NDArray[Any], shape: tuple[int, ...], blank: float) -> NDArray[Any]:
