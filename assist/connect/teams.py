@@ -75,7 +75,7 @@ class PoolSource:
                 instance = sweep(task_of(instance))
             self._table = instance
             self.pool = self._sample(0)
-        self.pool.setting.require_questions(1)
+        self.pool.setting.require_questions(possible=False)
         self.pool.setting.require_effect()
         if not 1 <= humans <= len(self.pool.people):
             raise ValueError(f"humans {humans}: expected 1 to {len(self.pool.people)}, the size of the pool")

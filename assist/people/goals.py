@@ -6,18 +6,21 @@ that of its only goal. What the robot believes about goals is in `hidden_type`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Table, Transitions, optimal_choices
+from planner import CostToGo, Table, Transitions, known_costs, optimal_choices
 
 from .choices import WAIT, Choices
 from .decision import Floats
-from .hidden_type import OfGoals
+from .hidden_type import KNOWN, OfGoals, several
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 Task = TypeVar("Task", bound=CostToGo)
 
@@ -59,6 +62,28 @@ def each_of(task: Task | Goals) -> tuple[Task | Table, ...]:
 def first_of(task: Task | Goals) -> Task | Table:
     """Return the task of the first of several goals, and any other task as it is."""
     return each_of(task)[0]
+
+
+def prior_of(task: CostToGo | Goals) -> Mapping[str, float]:
+    """Return the probability of each goal at the beginning of a task, by its name; a goal that is known is `KNOWN`."""
+    return task.prior if isinstance(task, Goals) else {KNOWN: 1.0}
+
+
+def require_one_goal(task: Any, terms: Collection[str]) -> None:
+    """Check that people who pursue one of several goals have no terms, which are about the goal.
+
+    Raises
+    ------
+    ValueError
+        They have.
+    """
+    if terms and several(each_of(task)):
+        raise ValueError("people with weights of terms: expected one goal")
+
+
+def known_task(task: CostToGo | Goals | AnyTask) -> CostToGo | Goals:
+    """Return goals as they are, and the cost-to-go of any other task that `planner.load` takes."""
+    return task if isinstance(task, Goals) else known_costs(task)
 
 
 def costs_to_go(task: CostToGo | Goals, states: NDArray[np.int64]) -> Floats:

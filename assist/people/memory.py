@@ -10,7 +10,6 @@ An episode begins without memory. Actions that the robot executes itself are no 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from planner import LimitError, Table
 
 from .choices import Choices
-from .goals import Goals
+from .goals import Goals, first_of, require_one_goal
 from .terms import NOTHING_YET, TERMS, Ints, Situation, Term, Vocabulary, features, goals_met
 
 BLOCK = 1 << 22
@@ -66,13 +65,10 @@ def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_
     follows = anywhere[plain.targets]
     follows[states, slots] = row[len(begins) :]
     own = np.arange(len(to))
-    return replace(
-        plain,
-        h=plain.h[to], goal=plain.goal[to], applicable=plain.applicable[to], actions=plain.actions[to],
-        targets=np.where(plain.applicable[to], follows[to], own[:, None]), costs=plain.costs[to],
-        optimal=plain.optimal[to], initial=int(row[np.searchsorted(begins, plain.initial)]),
-        state=state, terms=tuple(terms), features=edges.features(to, came),
-        key=None if plain.key is None else plain.key[to],
+    return plain.of_rows(
+        to, targets=np.where(plain.applicable[to], follows[to], own[:, None]),
+        initial=int(row[np.searchsorted(begins, plain.initial)]), state=state, terms=tuple(terms),
+        features=edges.features(to, came),
     )  # fmt: skip
 
 
@@ -89,13 +85,16 @@ def choices_of(table: Table | Choices | Goals, names: Iterable[str] = ()) -> Cho
     Raises
     ------
     ValueError
-        There is no such term.
+        There is no such term, or people with terms pursue one of several goals.
     LimitError
         The choices would exceed the memory limit.
     """
     names = tuple(dict.fromkeys(names))
+    require_one_goal(table, names)
     if isinstance(table, Goals):
-        return table.choices()
+        if not names:
+            return table.choices()
+        table = first_of(table)
     known = (table.terms or ()) if isinstance(table, Choices) else tuple(TERMS)
     for name in names:
         if name not in known:

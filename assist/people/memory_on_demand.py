@@ -17,7 +17,21 @@ from numpy.typing import ArrayLike, NDArray
 from planner import CostToGo, Transitions
 
 from .choices import Choices
+from .goals import Goals, first_of, require_one_goal
 from .terms import NOTHING_YET, TERMS, Ints, Situation, Vocabulary, features, goals_met
+
+
+def on_demand(task: CostToGo | Goals, names: Iterable[str]) -> CostToGo | Goals:
+    """Return a task with the memory that the terms of people's choices need; the same task without terms.
+
+    Raises
+    ------
+    ValueError
+        People with terms pursue one of several goals.
+    """
+    names = tuple(names)
+    require_one_goal(task, names)
+    return Remembering(first_of(task), names) if names else task
 
 
 class Remembering(CostToGo):

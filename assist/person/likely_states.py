@@ -12,7 +12,7 @@ from planner import CostToGo, Transitions
 
 from ..people.choices import Choices
 from ..people.decision import Floats, choice
-from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, optimal_for_each
+from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, optimal_for_each, prior_of
 from ..people.human import Human
 from ..people.misconception import Misconception
 from ..people.slots import padded
@@ -68,7 +68,7 @@ class Growth:
         self.queue: list[tuple[float, int, int]] = []  # the last number is that of the path
         self.paths: list[Floats] = []
         self.expanded = 0
-        shares = np.array(list(known.prior.values()) if isinstance(known, Goals) else [1.0])
+        shares = np.array(list(prior_of(known).values()))
         self.possible = shares > 0
         self._add(np.array([start]), shares[None])
 

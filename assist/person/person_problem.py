@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, TypeGuard, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Table, known_costs
+from planner import CostToGo, Table
 from planner.system.arrays import outline
 
 from ..people.arguments import whole
-from ..people.goals import Goals, each_of, first_of
+from ..people.goals import Goals, each_of, first_of, known_task, require_one_goal
 from ..people.human import Human
 from ..people.memory import choices_of
-from ..people.memory_on_demand import Remembering
+from ..people.memory_on_demand import Remembering, on_demand
 from ..people.misconception import Misconception
 from ..people.ranges import Population
 from .assumptions import Assumptions
@@ -138,22 +138,20 @@ class PersonProblem:
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
         setting, states = setting or Setting(), None if states is None else whole("states", states, 1)
-        known = known if isinstance(known, Goals) else known_costs(known)
+        known = known_task(known)
         people, human = population or Population(), None
         if sigma:
             human = Human(1.0, 0.5, sigma, Misconception.drawn(sigma, np.random.default_rng(seed)))
         assumed = Assumptions.of(setting, human, people)
-        if isinstance(known, Goals) and people.weights:
-            raise ValueError("people with weights of terms: expected one goal")
+        require_one_goal(known, people.weights)
         if is_whole(known, states):
             choices = choices_of(known, people.weights)
             return cls(known, assumed.problem(choices), choices.of_task(np.arange(choices.task_states)))
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
-        task: CostToGo | Goals = known
-        if people.weights:
-            task = Remembering(first_of(known), people.weights)
-            start = None if start is None else int(task.without_memory([start])[0])
+        task = on_demand(known, people.weights)
+        if isinstance(task, Remembering) and start is not None:
+            start = int(task.without_memory([start])[0])
         of = partial(TruncatedTask.of, task, start=start, population=people, human=human, time_limit=time_limit)
         problem = closed_problem(region := of(states=states, progress=progress), assumed)
         while (states := states // 2) >= 20:

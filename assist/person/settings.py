@@ -155,9 +155,9 @@ class Setting(OfRobots):
         if self.observation is not None:
             raise ValueError(f"observation: expected none, as {what} has actions that are all seen as they are")
 
-    def require_questions(self, goals: int) -> None:
-        """Raise an error if the robot would ask about people's goals, and each has the same one."""
-        if self.c_ask is not None and goals == 1:
+    def require_questions(self, *, possible: bool) -> None:
+        """Raise an error if the robot would ask about people's goals, and no question about them is possible."""
+        if self.c_ask is not None and not possible:
             raise ValueError(f"c_ask {self.c_ask:g} has no effect without several goals; expected None")
         if self.c_ask is None and self.ask_error:
             raise ValueError(f"ask_error {self.ask_error:g} has no effect without c_ask; expected 0")

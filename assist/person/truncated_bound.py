@@ -216,7 +216,7 @@ def bounded(
     until: float = math.inf,
     memory_limit_mb: float = math.inf,
     kept_mb: float = math.inf,
-    among: Goals | None = None,
+    among: CostToGo | Goals | None = None,
 ) -> TruncatedProblem:
     """Return a person's problem on an inner truncated task, with upper bounds of the whole task at its frontier.
 
@@ -239,8 +239,8 @@ def bounded(
         Memory during the computation, in MB.
     kept_mb : float
         Memory of the result, in MB.
-    among : Goals, optional
-        The goals of which `known` is one, if the robot may suggest what is optimal for any of them.
+    among : CostToGo or Goals, optional
+        As in `TruncatedTask.of`.
 
     Raises
     ------
@@ -249,7 +249,7 @@ def bounded(
     """
     in_time = 200 * (until - time.perf_counter())  # pairs: the solver's time grows with their number
     require_no_execution(assumed)
-    person = _Person(known, assumed, until, memory_limit_mb, among)
+    person = _Person(known, assumed, until, memory_limit_mb, known if among is None else among)
     inner, problem, hidden = person.inner(size, kept_mb)
     left = (until - time.perf_counter()) / 2  # for the expansion of the outer task; the rest is for its values
     seen = 0 if known.searches else SIZES.seen
@@ -276,7 +276,7 @@ class _Person:
     assumed: Assumptions
     until: float
     memory_limit_mb: float
-    among: Goals | None = None
+    among: CostToGo | Goals
 
     def task(self, states: int, time_limit: float | None = None) -> TruncatedTask:
         """Return the truncated task of the likeliest states."""
@@ -365,7 +365,7 @@ class _Person:
         in_time = 20_000 * share * max(0.0, left)
         bytes_of_a_state = 600  # values and transitions, roughly
         most = int(min(SIZES.complying, self.memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
-        best_only = assumed.suggestions == "optimal" and self.among is None
+        best_only = assumed.suggestions == "optimal" and self.among is self.known
         found = compliance_bounds(
             known, breadth_first(known, region.states, most), assumed.grid.beta, assumed, optimal=best_only,
             deadline=until if until == math.inf else until - (1 - share) * left,

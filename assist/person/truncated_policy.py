@@ -30,7 +30,7 @@ from planner.system.progress import reporting
 
 from ..people.belief import Grid
 from ..people.decision import Floats
-from ..people.goals import Goals, each_of, first_of, goals_reached, optimal_for_each
+from ..people.goals import Goals, each_of, first_of, goals_reached, optimal_for_each, prior_of
 from ..people.hidden_type import HiddenType, OfGoals
 from ..people.memory_on_demand import Remembering
 from .assumptions import Assumptions
@@ -141,6 +141,8 @@ class TruncatedPolicy(Policy):
         a robot that is always present, and `NEVER` for one that does not help.
     bounds : dict
         Cached problems for bounds, by the cost of coming and by whether the outer relaxation is included.
+    found : dict
+        Cached truncated tasks, by the id of the goal's cost-to-go or of all `Goals`.
     """
 
     ground: SharedTask
@@ -149,6 +151,7 @@ class TruncatedPolicy(Policy):
     solver: Callable[[AssistPOMDP], Policy] | None = None
     solved: dict[tuple[float, ...], tuple[LeafEstimates, ...]] = field(default_factory=dict, repr=False)
     bounds: dict[tuple[float, bool], list[tuple[float, TruncatedProblem]]] = field(default_factory=dict, repr=False)
+    found: dict[int, TruncatedTask] = field(default_factory=dict, repr=False)
 
     @property
     def task(self) -> CostToGo:
@@ -232,15 +235,16 @@ class TruncatedPolicy(Policy):
     @cached_property
     def regions(self) -> tuple[TruncatedTask, ...]:
         """The truncated task of the states that the person is most likely to visit, for each goal."""
-        known = self.ground.known
-        among = known if isinstance(known, Goals) else None
-        return tuple(self._region(one, among) for one in each_of(known))
+        return tuple(map(self._region, each_of(self.ground.known)))
 
-    def _region(self, known: CostToGo | Goals, among: Goals | None = None) -> TruncatedTask:
-        assumed = self.assumed
-        return TruncatedTask.of(
-            known, states=self.ground.size, population=assumed.population, human=assumed.human, among=among
-        )
+    def _region(self, known: CostToGo | Goals) -> TruncatedTask:
+        """Return the truncated task of one goal, or of all; it is collected once, also if these are the same."""
+        if id(known) not in self.found:
+            assumed, ground = self.assumed, self.ground
+            self.found[id(known)] = TruncatedTask.of(
+                known, states=ground.size, population=assumed.population, human=assumed.human, among=ground.known
+            )
+        return self.found[id(known)]
 
     def on(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
@@ -258,8 +262,7 @@ class TruncatedPolicy(Policy):
             if key in self.bounds:
                 return self.bounds[key]
         ground, found = self.ground, list[tuple[float, TruncatedProblem]]()
-        among = ground.known if isinstance(ground.known, Goals) else None
-        shares = list(among.prior.values()) if among else [1.0]
+        shares = list(prior_of(ground.known).values())
         possible = [number for number, share in enumerate(shares) if share > 0]
         for done, number in enumerate(possible):
             left = len(possible) - done
@@ -268,7 +271,7 @@ class TruncatedPolicy(Policy):
                 bounded(
                     self.task_of(number), self.assumed, entry=entry, size=ground.size, with_outer=with_outer,
                     until=time.perf_counter() + (until - time.perf_counter()) / left,
-                    kept_mb=kept_mb / len(possible), among=among, **more,
+                    kept_mb=kept_mb / len(possible), among=ground.known, **more,
                 ),
             ))  # fmt: skip
         self.bounds[entry, with_outer] = found
@@ -360,7 +363,7 @@ class TruncatedPolicy(Policy):
     def _own(self) -> SolvedRegion:
         """The policy of the solver on a truncated task, with all goals."""
         assert self.solver is not None
-        (region,) = self.regions if len(self.regions) == 1 else (self._region(self.ground.known),)
+        region = self._region(self.ground.known)
         return SolvedRegion.of(region, self.solver(closed_problem(region, self.assumed)))
 
     def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:

@@ -83,7 +83,7 @@ class TruncatedTask:
         states: int = 20_000,
         population: Population | None = None,
         human: Human | None = None,
-        among: Goals | None = None,
+        among: CostToGo | Goals | None = None,
         time_limit: float | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> TruncatedTask:
@@ -103,8 +103,9 @@ class TruncatedTask:
             Population of the person.
         human : Human, optional
             The person, if their misconceptions are known. The probabilities then follow these.
-        among : Goals, optional
-            The goals of which `known` is one, if the robot may suggest what is optimal for any of them.
+        among : CostToGo or Goals, optional
+            The goals of which `known` is one, if the robot may suggest what is optimal for any of them; by default
+            `known` alone.
         time_limit : float, optional
             Seconds after which the expansion stops.
         progress : callable, optional
@@ -121,7 +122,7 @@ class TruncatedTask:
                 progress(done)
         each, at, cut, rows = growth.found()
         found = cls.joined(known, each, at, cut)
-        if among is None:
+        if among is None or among is known:
             return found
         offered = np.zeros_like(found.choices.optimal)
         offered[found.choices.applicable & (found.choices.actions != WAIT)] = optimal_for_each(among, at, rows).any(
@@ -186,7 +187,7 @@ class TruncatedTask:
         gamma, trust, thetas = assumed.gamma, assumed.trust, len(assumed.grid.theta)
         nothing, suggestion, _ = assumed.robot.costs
         levels = CostLevels.of(first_of(self.known))
-        dear, several = float(levels.prices[-1]), len(self.choices.goals) > 1
+        dear, several = float(levels.prices[-1]), self.choices.goals.distinguished
         anybody = self.bounds_of_anybody(assumed)
         floor = -(dear + (nothing if several else max(nothing, suggestion))) / (1 - gamma)
         by_equation = trust is None or isinstance(trust, EquationSeven)

@@ -207,7 +207,7 @@ def check(study: Study, progress: Progress = lambda *_: None) -> None:
                 try:
                     choices, frontier = _part(_task(dict(study.instances)[name]))
                     Assumptions.of(setting, None, Population()).problem(choices, frontier)
-                    setting.require_questions(len(choices.goals))
+                    setting.require_questions(possible=choices.goals.distinguished)
                 except ValueError as error:
                     place = f"condition '{condition.name}', setting '{label}'" if label else "setting"
                     raise InputFileError(f"{study.file}: {place}: {error}") from None

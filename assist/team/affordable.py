@@ -9,6 +9,7 @@ from planner import LimitError, Table
 from ..people.arguments import require_goal
 from ..people.choices import Choices
 from ..people.goals import Goals, each_of, first_of
+from ..people.hidden_type import several
 from ..people.memory import choices_of
 from ..person.memory_needed import ONE_FOR_ALL, policy_bytes, require_room
 from ..person.settings import Setting
@@ -20,7 +21,8 @@ def affordable_choices(
 ) -> Choices | None:  # fmt: skip
     """Return the choices in an enumerated task, with the memory of people whose choices have terms.
 
-    The result is None if the policies for several goals would exceed the memory limit, and the task may be truncated.
+    The result is None if the policies for several goals would exceed the memory limit, and the task may be truncated:
+    on fewer states for each goal (`states_within`).
 
     Parameters
     ----------
@@ -45,7 +47,7 @@ def affordable_choices(
     try:
         choices = _choices(table, setting, terms, size, memory_limit_mb)
     except LimitError:
-        if required or not isinstance(table, Goals):
+        if required or isinstance(table, Choices) or not several(each_of(table)):
             raise
         return None
     require_room_for_people(size, choices.h.nbytes, memory_limit_mb)
@@ -57,7 +59,7 @@ def _choices(
 ) -> Choices:
     """Return the choices in an enumerated task, unless the policies would exceed the memory limit."""
     models = size if setting.knowledge == "own" else 1
-    goals = len(table.goals) if isinstance(table, Choices) else len(each_of(table))
+    goals = len(table.goals if isinstance(table, Choices) else each_of(table))
     # checked before the choices are built
     states = len(table) if isinstance(table, Choices) else len(first_of(table))
     _require_room_for_policies(goals * policy_bytes(states), states, models, memory_limit_mb, goals)

@@ -57,7 +57,7 @@ def named(
     if name == "none":
         return NoAssistance()
     if name == "reactive":
-        return Reactive(uses_belief=any(len(policy.pomdp.hidden.goals) > 1 for policy in policies))
+        return Reactive(uses_belief=any(policy.pomdp.hidden.distinguishes_goals for policy in policies))
     if name == "attention":
         return AttentionSwitching()
     if name == "attention-never":

@@ -10,7 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import CostToGo, known_costs
+from planner import CostToGo
 from planner.system.arrays import frozen
 from planner.system.errors import expected
 from planner.system.progress import Wanted, shows_progress
@@ -18,7 +18,8 @@ from planner.system.results import Result, same
 
 from ..people.arguments import Seed
 from ..people.choices import Choices
-from ..people.goals import Goals
+from ..people.goals import Goals, known_task
+from ..people.hidden_type import HiddenType
 from ..people.human import Human
 from ..people.ranges import Population
 from ..person.policy import Policy
@@ -230,7 +231,7 @@ class Pool(Result):
     ) -> Pool:  # fmt: skip
         """Return people at a task."""
         assert callable(progress)
-        table = table if isinstance(table, Choices | Goals) else known_costs(table)
+        table = table if isinstance(table, Choices) else known_task(table)
         setting = setting or Setting()
         if not isinstance(setting, Setting):
             raise TypeError(f"a {type(setting).__name__} where a Setting was expected, such as Setting(c_suggest=0.5)")
@@ -264,9 +265,9 @@ class Pool(Result):
         return union(pools)
 
     @property
-    def goals(self) -> int:
-        """The number of goals, one of which each person pursues."""
-        return len(self.policies[0].pomdp.hidden.goals)
+    def hidden(self) -> HiddenType:
+        """The types of the first person; others have as many goals."""
+        return self.policies[0].pomdp.hidden
 
     def choices(self, person: int) -> Choices:
         """Return the choices of a person's task."""

@@ -141,7 +141,7 @@ def require_possible(pool: Pool, world: World, goals: GoalKnowledge) -> None:
         raise ValueError(f"goals {goals!r}: expected {', '.join(map(repr, get_args(GoalKnowledge)))}")
     if goals == "likeliest" and pool.setting.observation is not None:
         raise ValueError("goals 'likeliest': expected 'inferred' or 'known' where actions are missed or confused")
-    pool.setting.require_questions(pool.goals)
+    pool.setting.require_questions(possible=pool.hidden.distinguishes_goals)
     if pool.setting.c_ask is not None:
         pool.setting.require_all_seen("a simulated robot that asks")
 

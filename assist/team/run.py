@@ -144,7 +144,7 @@ class Simulation:
             people, draws, wanted.world == "model", place, row, began.goal, began.theta, np.zeros_like(place),
             began.finished, wanted.presence.joins, wanted.presence.leaves, pool.setting.neighbourhood(place.shape[1]),
         )  # fmt: skip
-        hidden, knowledge = pool.policies[0].pomdp.hidden, wanted.goals
+        hidden, knowledge = pool.hidden, wanted.goals
         prior: Floats | None = None
         if beliefs or pool.setting.observation is not None:
             each = np.array([policy.pomdp.prior for policy in pool.policies])[began.model]

@@ -110,7 +110,7 @@ def simulate(
     count, found = len(wanted.numbers), list[Episodes]()
     advance = adding(progress, f"simulating {wanted.name}" + " and explaining its suggestions" * explained, count)
     # Where a state has values for each goal, so have those to which it leads.
-    together = max(1, PEOPLE_AT_A_TIME // (wanted.places * pool.goals**2 * BLOCK)) * BLOCK
+    together = max(1, PEOPLE_AT_A_TIME // (wanted.places * len(pool.hidden.goals) ** 2 * BLOCK)) * BLOCK
     done, size, threads = 0, 1 if explained else BLOCK, 1 if explained else jobs
     ends = Deadline.after(conditions.get("time_limit"))
     # A function of the user may solve people's problems in its first step; only the function knows.

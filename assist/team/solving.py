@@ -14,9 +14,9 @@ from planner.system.progress import Progress, adding
 
 from ..people.arguments import require_goal, require_options, whole
 from ..people.choices import Choices
-from ..people.goals import Goals, costs_to_go, each_of, first_of
+from ..people.goals import Goals, costs_to_go, each_of, first_of, require_one_goal
 from ..people.human import Human
-from ..people.memory_on_demand import Remembering
+from ..people.memory_on_demand import on_demand
 from ..people.ranges import Population
 from ..person.assumptions import Assumptions
 from ..person.lazy_policy import LazyPolicy
@@ -88,10 +88,9 @@ def solved_on_demand(
     states = whole("states", solving.get("states", WHOLE))
     if (region := solving.get("region")) is not None:
         whole("region", region, 1)
-    if isinstance(table, Goals) and terms:
-        raise ValueError("people with weights of terms: expected one goal")
+    require_one_goal(table, terms)
     own = solver if solver != qmdp else None
-    asks = isinstance(table, Goals) and setting.c_ask is not None  # worth of answers: exact where it is affordable
+    asks = setting.c_ask is not None  # worth of answers: exact where it is affordable
     most = MAX_ENUMERATED if asks or own or terms or setting.fleet.executes else states
     choices: Choices | None = None
     if isinstance(table, Choices) or is_whole(table, most):
@@ -120,9 +119,8 @@ def _truncated(
     require_goal(float(costs_to_go(table, np.array([first_of(table).initial])).min()))
     require_room_for_people(them.size, 0, limit)
     people, models = them.at(None), them.size if setting.knowledge == "own" else 1
-    room, terms = states_within(limit, len(each_of(table)), models), (*them.terms, *prior.weights)
-    known = Remembering(first_of(table), dict.fromkeys(terms)) if terms else table
-    ground = SharedTask(known, region or min(default_size(table), room), models)
+    room, terms = states_within(limit, each_of(table), models), (*them.terms, *prior.weights)
+    ground = SharedTask(on_demand(table, dict.fromkeys(terms)), region or min(default_size(table), room), models)
     of_task = TruncatedPolicy(ground, Assumptions.of(setting, None, prior), solver=own)
     if setting.knowledge != "own":
         return people, [of_task]

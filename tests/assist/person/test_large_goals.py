@@ -228,7 +228,7 @@ def test_the_size_of_a_part_counts_goals_and_memory() -> None:
     goals = TASKS["sealed"]
     assert default_size(goals.tables["a"]) == 20_000
     assert default_size(goals) == 20_000 // 3
-    assert states_within(4000, 50, 12) > 1_000 > states_within(4000, 50, 100)
+    assert states_within(4000, range(50), 12) > 1_000 > states_within(4000, range(50), 100)
     values = 4 * len(goals) * 60 * 8 / 1e6  # of enumerated policies for three people, and of a copy
     found = Pool.sample(goals, 3, seed=1, memory_limit_mb=values / 2)
     assert isinstance(found.policies[0], TruncatedPolicy)
