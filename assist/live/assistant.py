@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner import CostToGo, known_costs
+from planner import CostToGo
 
 from ..declare.declared import plain
-from ..people.goals import Goals
+from ..people.goals import Goals, known_task
 from ..people.ranges import Population
 from ..person.policy import Policy
 from ..person.robots import Robot
@@ -53,9 +53,7 @@ FORMAT = "kitassist team 3"
 
 def _costs(task: CostToGo | Goals | Policy | AnyTask) -> Task:
     """Return goals and policies as they are, and the cost-to-go of any other task."""
-    if isinstance(task, Goals) or hasattr(task, "pomdp"):
-        return cast("Goals | Policy", task)
-    return known_costs(task)
+    return cast(Policy, task) if hasattr(task, "pomdp") else known_task(task)
 
 
 class Assistant(Reports, Desk):

@@ -17,9 +17,9 @@ from planner.system.errors import InputFileError
 from ..declare.declared import plain
 from ..people.belief import Grid
 from ..people.choice_model import chances
-from ..people.choices import Choices
 from ..people.decision import perceived_cost
 from ..people.goals import Goals, first_of
+from ..people.memory import choices_of
 from ..people.ranges import Population
 from ..person.person_problem import WHOLE, is_whole
 from .desk import Desk
@@ -54,12 +54,13 @@ def files_of(tasks: Mapping[str, CostToGo | Goals]) -> dict[str, str | None]:
 
 def _chances(task: CostToGo | Goals, population: Population) -> str:
     """Return a hash of the choice probabilities of a function, which identifies it better than its name."""
-    if isinstance(task, Goals) or not is_whole(task):
+    if not is_whole(task):
         raise ValueError(f"people who choose by a function: expected a task of at most {WHOLE:,} states, all known")
-    choices = Choices.of(task)
-    q = perceived_cost(choices, choices.h)
-    p = chances(population.typical, choices, q, Grid.regular(population).beta)
-    return sha256(p.tobytes()).hexdigest()[:32]
+    content, beta = sha256(), Grid.regular(population).beta
+    for choices in choices_of(task).of_each_goal:
+        q = perceived_cost(choices, choices.h)
+        content.update(chances(population.typical, choices, q, beta).tobytes())
+    return content.hexdigest()[:32]
 
 
 def require_version(file: Path, found: Mapping[str, Any], format: str) -> None:

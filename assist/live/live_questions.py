@@ -35,8 +35,7 @@ class LiveQuestions:
     def __init__(self, setting: Setting, policies: Sequence[Policy]) -> None:
         assert setting.c_ask is not None
         self._setting, self._cost = setting, setting.c_ask
-        several = [policy for policy in policies if len(policy.pomdp.hidden.goals) > 1]
-        self._goals = Questions(several, self._cost, setting.ask_error)
+        self._goals = Questions(policies, self._cost, setting.ask_error)
         self._known: dict[int, tuple[tuple[int, float, int], Question | None]] = {}
 
     def best(self, team: Roster, active: NDArray[np.bool_]) -> Question | None:
@@ -63,12 +62,11 @@ class LiveQuestions:
         return known[1]
 
     def _about_goal(self, team: Roster, record: RosterEntry, attention: float) -> Question | None:
-        goals = record.problem.choices.goals
-        if len(goals) == 1 or "goal" in record.asked:
-            return None
         policy = record.problem.policy
+        if not policy.pomdp.hidden.distinguishes_goals or "goal" in record.asked:
+            return None
         goal, worth = self._goals.best_of(policy, team.beliefs.joint(record.place, policy), attention)
-        return Question(record.name, goals.names[goal], (), worth) if worth > NEAR else None
+        return Question(record.name, record.problem.choices.goals.names[goal], (), worth) if worth > NEAR else None
 
     def _about_action(self, record: RosterEntry, *, least: float = 0.01) -> Question | None:
         if record.joint is None or len(record.joint.places) == 1 or "action" in record.asked:

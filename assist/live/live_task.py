@@ -22,9 +22,9 @@ from ..drawing.picture import Artist
 from ..people.action_names import Matcher, Words, words_of
 from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
-from ..people.goals import Goals, first_of
+from ..people.goals import Goals, first_of, require_one_goal
 from ..people.memory import choices_of
-from ..people.memory_on_demand import Remembering
+from ..people.memory_on_demand import on_demand
 from ..people.ranges import Population
 from ..person.assumptions import Assumptions
 from ..person.person_problem import is_whole
@@ -66,7 +66,7 @@ class LiveTask:
     ) -> None:
         self.task, self.prior = task, prior
         if policy is None:
-            require_usable(task, prior)
+            require_one_goal(task, prior.weights)
         self.policy = policy or (task if isinstance(task, Policy) else _policy_for(task, setting, prior))
         self.initial = self.policy.task.initial
         require_goal(self.choices.h[self.row(self.initial)])
@@ -173,33 +173,17 @@ class LiveTask:
         return None if isinstance(task, Choices) else Artist(task.task)
 
 
-def require_usable(task: CostToGo | Goals | Policy, prior: Population) -> None:
-    """Check that people can work on a task, before anything is solved.
-
-    Raises
-    ------
-    ValueError
-        There are several goals, and people have terms.
-    """
-    if isinstance(task, Goals) and prior.weights:
-        raise ValueError("people who remember what they did: expected one goal")
-
-
 def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) -> Policy:
     """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
     if is_whole(known):
         choices = choices_of(known, tuple(prior.weights))
         return qmdp(Assumptions.of(setting, None, prior).problem(choices))
-    if prior.weights:
-        known = Remembering(first_of(known), prior.weights)
-    return TruncatedPolicy(SharedTask(known), Assumptions.of(setting, None, prior))
+    return TruncatedPolicy(SharedTask(on_demand(known, prior.weights)), Assumptions.of(setting, None, prior))
 
 
 def _known(task: CostToGo | Goals | Policy) -> CostToGo | Choices:
     """Return a task's cost-to-go, that of the first goal if there are several; of an enumerated policy, the choices."""
-    if isinstance(task, Goals):
-        return first_of(task)
-    return task.task if isinstance(task, Policy) else task
+    return task.task if isinstance(task, Policy) else first_of(task)
 
 
 def digest(task: CostToGo | Goals | Policy) -> str:

@@ -18,7 +18,7 @@ from planner import CostToGo, Table, Transitions, optimal_choices
 from ..people.choice_model import boltzmann
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, perceived_cost
-from ..people.goals import Goals
+from ..people.goals import Goals, each_of, prior_of
 from ..people.human import Human
 from ..people.neighbours import SeenNothing, SeenRule
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
@@ -81,10 +81,13 @@ class SimulatedPerson:
 
     def pursued(self, task: CostToGo | Goals) -> CostToGo:
         """Return the task with the goal that the person pursues; of several goals, it is drawn from their prior."""
-        if not isinstance(task, Goals):
-            return task
-        own = np.random.default_rng([self._seed, len(task.tables)])  # so that no other draw depends on the goals
-        return list(task.tables.values())[int(own.choice(len(task.tables), p=list(task.prior.values())))]
+        return each_of(task)[self._goal(task)]
+
+    def _goal(self, task: CostToGo | Goals) -> int:
+        """Return the number of the goal that the person pursues."""
+        prior = list(prior_of(task).values())
+        own = np.random.default_rng([self._seed, len(prior)])  # so that no other draw depends on the goals
+        return int(own.choice(len(prior), p=prior))
 
     def see(self, saw: Iterable[Saw]) -> None:
         """Update theta by what the person has seen of suggestions to others; what was passed before counts once."""
@@ -142,7 +145,7 @@ class SimulatedPerson:
         """Return the true answer to "is this your goal?", or, if it is None, to "what did you do last?"."""
         if goal is None:
             return self.reported
-        return isinstance(task, Goals) and task.tables[goal] is self.pursued(task)
+        return list(prior_of(task))[self._goal(task)] == goal
 
     def act_unseen(self, task: CostToGo, suggestion: str | None, model: ObservationModel) -> str | None:
         """Act in the person's own state, `state`, and return what the robot sees; None if it misses the action.

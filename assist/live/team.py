@@ -20,7 +20,7 @@ from planner import CostToGo
 
 from ..declare.refusals import AbsentError, Refusal
 from ..people.decision import Floats
-from ..people.goals import Goals
+from ..people.goals import Goals, require_one_goal
 from ..people.ranges import Population
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
@@ -30,7 +30,6 @@ from .event_base import Event, TeamEvent
 from .events import Elapsed, Left, kinds
 from .explanation import Explanation, WhyNothing
 from .history import Change, History
-from .live_task import require_usable
 from .names import is_name
 from .record import TeamRecord, without_in_view
 from .roster import Saw
@@ -68,7 +67,7 @@ class Team(History[TeamRecord]):
         self.tasks = dict(tasks)
         self.desk = Desk(self.tasks, policy=policy, setting=setting, population=population, distance=distance)
         for task in self.tasks.values():
-            require_usable(task, self.desk.population)
+            require_one_goal(task, self.desk.population.weights)
         self._nothing = (IDLE,) * len(self.desk.setting.robots)
         self._advices = self._nothing
         self._known: dict[str, PersonState] = {}

@@ -10,7 +10,8 @@ from planner import CostToGo
 
 from ..declare.catalogue import FIRST
 from ..drawing import Artist
-from ..people.goals import Goals, first_of
+from ..people.goals import Goals, each_of, first_of
+from ..people.hidden_type import several
 
 
 class Pictures:
@@ -39,7 +40,7 @@ class Pictures:
         key = id(known), language or self.language
         with self._lock:
             if key not in self._artists:  # holds the task, so that its id is not reused
-                self._artists[key] = Artist(known, goal=not isinstance(task, Goals), language=key[1])
+                self._artists[key] = Artist(known, goal=not several(each_of(task)), language=key[1])
             return self._artists[key]
 
     def words(self, task: CostToGo | Goals, actions: Sequence[str], language: str) -> dict[str, str]:

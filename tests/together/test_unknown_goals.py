@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,7 +21,8 @@ from assist.certify import upper_bound
 from assist.declare.declared import plain
 from assist.learning import Log, infer_goals
 from assist.live import Assistant, Session
-from assist.people import Goals, HumanModel, Population
+from assist.people import Choices, Goals, HumanModel, Population
+from assist.people.choice_model import boltzmann
 from assist.people.hidden_type import HiddenType
 from assist.person import AssistPOMDP, Setting, qmdp
 from assist.person.robots import OfRobots
@@ -152,6 +154,12 @@ def test_a_single_goal_changes_nothing(tiny: Table) -> None:
             for task in (tiny, one)
         ]
         assert equal(*found)
+    terms = Population(weights={"goals": (0.0, 1.0)})
+    for pools in (
+        [Pool.sample(task, 2, seed=1, setting=setting, population=terms) for task in (tiny, one)],
+        [Pool.sample(task, 2, seed=1, setting=setting, states=1, region=5) for task in (tiny, one)],
+    ):
+        assert equal(*(simulate(pool, "priority", humans=2, episodes=20, seed=4) for pool in pools))
     told = []
     for task in (tiny, one):
         desk = Assistant(task, ["ann"], setting=setting)
@@ -361,6 +369,27 @@ def test_a_session_keeps_goals(tmp_path: Path) -> None:
     other = replace(TASKS["tiny"], prior={"a": 0.2, "b": 0.2, "c": 0.6})
     with pytest.raises(InputFileError, match="another"):
         Session(other, tmp_path / "journal", setting=Setting(c_suggest=0.1))
+
+
+class Surer:
+    """A choice model that has the same name with any parameter."""
+
+    def __init__(self, factor: float) -> None:
+        self.factor, self.__name__ = factor, "surer"
+
+    def __call__(self, choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        return boltzmann(choices, q, self.factor * beta)
+
+
+@pytest.mark.parametrize("task", [TASKS["tiny"], TASKS["tiny"].tables["a"]])
+def test_a_session_knows_how_people_choose_with_each_goal(task: Goals | Table, tmp_path: Path) -> None:
+    with closing(Session(task, tmp_path / "journal", population=Population(chooses=Surer(1.0)))) as session:
+        session.join("ann")
+        advice = session.recommend()
+    with closing(Session(task, tmp_path / "journal", population=Population(chooses=Surer(1.0)))) as session:
+        assert session.recommend() == advice
+    with pytest.raises(InputFileError, match="chances"):
+        Session(task, tmp_path / "journal", population=Population(chooses=Surer(2.0)))
 
 
 def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:
