@@ -84,7 +84,7 @@ class Data(NamedTuple):
         lapsed = np.nonzero(o.reached)
         after = (o.begins.cumsum() - 1)[lapsed[1]] * len(o.prior) + lapsed[0]
         np.add.at(first, after, np.log(method.lapse / options[lapsed[1]]))
-        row, first = (np.zeros_like(pair), np.zeros(1)) if o.goals is None else (pair, first)
+        row, first = (pair, first) if o.sums_goals else (np.zeros_like(pair), first.sum(keepdims=True))
         grid, chances = (np.zeros(0), np.zeros((0, 0, 0))) if o.own is None else (o.own.beta, o.own.chance)
         heard, anew = heard_steps(o.suggested[step], np.diff(pair, prepend=-1) != 0)
         least = method.lapse / max(options.max(initial=1), 1)
@@ -203,9 +203,9 @@ def with_trust(data: Data, chances: Floats, silent: Floats, path: Floats) -> Flo
                 most, chance = found[first, p], 0.0
                 for r in range(first + 1, first + data.goals):
                     most = max(most, found[r, p])
-                for r in range(first, first + data.goals if data.goals > 1 else first):
+                for r in range(first, first + data.goals):
                     chance += math.exp(found[r, p] - most)
-                total[b, p] += most if data.goals == 1 else most + math.log(chance)
+                total[b, p] += most + math.log(chance)
     return total
 
 

@@ -138,7 +138,7 @@ class LikelihoodTable(ByContent):
         table = cls.of(observations, method)
         if not table.heard.any():
             raise InputFileError("no suggestion in the log; expected some, as influence shows in the answers to them")
-        if carry and any(data.goals > 1 for data in table.data):
+        if carry and any(o.sums_goals for o in observations):
             raise ValueError(
                 "carry: expected False, since each episode has one of several goals, on which trust depends"
             )

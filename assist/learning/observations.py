@@ -203,6 +203,11 @@ class Observations(Result):
         return np.ones(1) if self.goals is None else self.goals.prior
 
     @property
+    def sums_goals(self) -> bool:
+        """Whether goals are summed within each episode; for a goal that is known, all episodes are added at once."""
+        return self.goals is not None
+
+    @property
     def reached(self) -> NDArray[np.bool_]:
         """Whether each goal holds before each choice, shape (G, N)."""
         return np.zeros((1, len(self)), dtype=bool) if self.goals is None else self.goals.reached
