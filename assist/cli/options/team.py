@@ -70,10 +70,8 @@ class TeamSetup(NamedTuple):
             return policy
         try:
             return self.pool.policy(policy, self.travel)
-        except ValueError as error:  # the policy needs a problem that is not truncated
-            truncated = self.pool.goals == 1 and self.pool.setting.observation is None
-            hint = " (--set region_states)" if truncated else ""
-            fail(f"{self.instance}: {error}{hint}", ExitCode.FAILED)
+        except ValueError as error:  # the policy needs a robot that sees all actions
+            fail(f"{self.instance}: {error}", ExitCode.FAILED)
 
 
 def team_of(team: TeamOptions, size: int, goals: Goals | None = None) -> TeamSetup:
@@ -91,13 +89,12 @@ def team_of(team: TeamOptions, size: int, goals: Goals | None = None) -> TeamSet
     if not chosen.fleet.executes:
         team.given.refuse(["c_execute"], "without execute")
     known = goals or costs_of(found, max_states=setting.max_states, memory_limit_mb=None)
-    states = setting.region_states or REGION_STATES
     try:
         travel = travel_of(chosen, team.humans, setting.distances)
         pool = Pool.sample(
             known, size, seed=team.seed, setting=chosen, population=setting.population, prior=setting.prior,
-            memory_limit_mb=setting.memory_limit, states=states,
-            region=states if (goals is None and known.method == "sweep") or setting.region_states else None,
+            memory_limit_mb=setting.memory_limit, states=setting.region_states or REGION_STATES,
+            region=setting.region_states,
         )  # fmt: skip
     except LimitError as error:
         fail(f"{found}: {error} (--set memory_limit)", ExitCode.FAILED)
