@@ -74,10 +74,10 @@ def policy(
         if out is not None:
             solution.save(out, values=first_of(problem.known).values(problem.states), task_states=problem.states)
     frontier, too_high = problem.pomdp.frontier, None if solution.suggests else setting.c_suggest
-    goals = problem.pomdp.model.choices.unknown_goal
+    hidden = problem.pomdp.hidden
     record = {
         "instance": str(found.problem), "domain": str(found.domain), **solution.as_dict(),
-        **({} if goals is None else {"goals": dict(goals.prior)}),
+        **({"goals": dict(hidden.goals)} if hidden.distinguishes_goals else {}),
         "method": problem.known.method, "frontier": 0 if frontier is None else len(frontier.states),
         "c_suggest_too_high": too_high, "versions": versions(),
     }  # fmt: skip

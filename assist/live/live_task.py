@@ -22,7 +22,7 @@ from ..drawing.picture import Artist
 from ..people.action_names import Matcher, Words, words_of
 from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
-from ..people.goals import Goals, first_of, require_one_goal
+from ..people.goals import Goals, first_of, require_one_goal, text_of_goals
 from ..people.memory import choices_of
 from ..people.memory_on_demand import on_demand
 from ..people.ranges import Population
@@ -200,10 +200,7 @@ def digest(task: CostToGo | Goals | Policy) -> str:
             content.update(np.ascontiguousarray(array).tobytes())
     else:
         content.update(known.task.sas.encode())
-    if isinstance(task, Goals):
-        for name, table in task.tables.items():
-            content.update(f"{name} {task.prior[name]} {table.task.goal}".encode())
-        content.update(b"likeliest" * task.assume_likeliest)
+    content.update(text_of_goals(task).encode())
     return content.hexdigest()[:32]
 
 

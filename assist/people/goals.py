@@ -69,6 +69,14 @@ def prior_of(task: CostToGo | Goals) -> Mapping[str, float]:
     return task.prior if isinstance(task, Goals) else {KNOWN: 1.0}
 
 
+def text_of_goals(task: object) -> str:
+    """Return what tells several goals from others of the same task, apart from the task's text; "" for other tasks."""
+    if not isinstance(task, Goals):
+        return ""
+    each = (f"{name} {task.prior[name]} {table.task.goal}" for name, table in task.tables.items())
+    return f"{''.join(each)}{'likeliest' * task.assume_likeliest} {task.sharpness}"
+
+
 def require_one_goal(task: Any, terms: Collection[str]) -> None:
     """Check that people who pursue one of several goals have no terms, which are about the goal.
 

@@ -366,9 +366,9 @@ def test_a_session_keeps_goals(tmp_path: Path) -> None:
         assert session.place("ann")[0] is TASKS["tiny"]
         session.close()
     assert seen[0] | {"history": None} == seen[1] | {"history": None}
-    other = replace(TASKS["tiny"], prior={"a": 0.2, "b": 0.2, "c": 0.6})
-    with pytest.raises(InputFileError, match="another"):
-        Session(other, tmp_path / "journal", setting=Setting(c_suggest=0.1))
+    for change in ({"prior": {"a": 0.2, "b": 0.2, "c": 0.6}}, {"sharpness": 2.0}, {"assume_likeliest": True}):
+        with pytest.raises(InputFileError, match="another"):
+            Session(replace(TASKS["tiny"], **change), tmp_path / "journal", setting=Setting(c_suggest=0.1))
 
 
 class Surer:
