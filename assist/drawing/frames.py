@@ -136,6 +136,8 @@ def episode_of(rows: Sequence[Mapping[str, Any]], episode: str | None = None) ->
         raise ValueError("the log is empty")
     matching = [name for name in names if name == episode or name.endswith(f"-{episode}")]
     episode = names[0] if episode is None else matching[0] if len(matching) == 1 else episode
+    if len(matching) > 1 and episode not in matching:
+        raise ValueError(f"episode {episode!r}: expected one of {', '.join(matching[:10])}")
     if episode not in names:
         raise ValueError(f"episode {episode!r}: the log has {', '.join(names[:10])}{' ...' * (len(names) > 10)}")
     return [row for row in rows if str(row.get("episode")) == episode]

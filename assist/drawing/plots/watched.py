@@ -30,7 +30,8 @@ def watched_figure(watched: Any) -> Figure:
     """Return the figure of a `WatchedEpisode`: a row for each person, with the expected gain and the cost-to-go.
 
     Bands show where the robot was. It goes where the gain is largest and above 0, if it follows Algorithm 1. Where a
-    step has no gain, no suggestion would be worth its cost.
+    step has no gain, no suggestion would be worth its cost; one that a policy made all the same stands on the line of
+    0.
 
     Parameters
     ----------
@@ -47,8 +48,9 @@ def watched_figure(watched: Any) -> Figure:
         robot_bands((gains, costs), rows, place)
         gains.axhline(0.0, color=GREY, linewidth=1.0)
         gains.plot(at, watched.gain[:, place], color=BLUE, marker=".", linewidth=1.6)
-        gains.plot(told, watched.gain[told, place], linestyle="none", marker="v", color=GREEN, markerfacecolor="white")
-        gains.plot(followed, watched.gain[followed, place], linestyle="none", marker="v", color=GREEN)
+        height = np.nan_to_num(watched.gain[:, place], nan=0.0)
+        gains.plot(told, height[told], linestyle="none", marker="v", color=GREEN, markerfacecolor="white")
+        gains.plot(followed, height[followed], linestyle="none", marker="v", color=GREEN)
         for trace, color, line in ((watched.alone, GREY, "--"), (watched.trace, BLUE, "-")):
             own = [row for row in trace if row["place"] == place]
             shown = [row for row in own if row["step"] <= 2 * steps]

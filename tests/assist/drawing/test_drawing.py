@@ -28,6 +28,7 @@ from assist.drawing import (
     read_state,
 )
 from assist.drawing.files import page
+from assist.drawing.frames import episode_of
 from assist.drawing.subject import Subject
 from planner import load
 from planner.grounding.fast_downward import optimal_plan
@@ -456,3 +457,10 @@ def test_png_without_its_extra_names_the_extra(tmp_path: Path, monkeypatch: pyte
     result = CliRunner().invoke(main, ["draw", str(KITTING / "tiny.pddl"), "--out", str(tmp_path / "a.png")])
     assert result.exit_code == 1
     assert "[plots]" in result.output
+
+
+def test_an_episode_of_several_policies_has_to_be_named_whole() -> None:
+    rows = [{"episode": name} for name in ("none-3", "none-13", "attention-3")]
+    with pytest.raises(ValueError, match=r"episode '3': expected one of none-3, attention-3$"):
+        episode_of(rows, "3")
+    assert episode_of(rows, "13") == [rows[1]]

@@ -54,6 +54,16 @@ def test_it_is_a_table_with_reasons_and_a_figure(watched: WatchedEpisode) -> Non
     assert watched.figure()._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
 
 
+def test_all_suggestions_are_in_the_figure_also_where_none_is_worth_its_cost(pool: Pool) -> None:
+    dear = watch(pool.under(Setting(c_suggest=50.0)), "reactive", humans=3, episode=2, seed=5)
+    told = sum(row["suggestion"] is not None for row in dear.trace)
+    assert told
+    assert np.isnan(dear.gain).all()
+    marks = [line for axis in dear.figure().axes[::2] for line in axis.lines if line.get_marker() == "v"]
+    seen = [np.isfinite(np.asarray(line.get_ydata(), dtype=float)).sum() for line in marks]
+    assert sum(seen[::2]) == told
+
+
 def test_an_episode_without_suggestions_says_why(pool: Pool) -> None:
     dear = watch(pool.under(Setting(c_suggest=50.0)), humans=3, episode=2, seed=5)
     assert np.isnan(dear.gain).all()
