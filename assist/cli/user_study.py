@@ -60,7 +60,9 @@ def conduct(
         from planner.system.errors import InputFileError
 
         from ..people.user_code import UserCodeError
+        from ..studies.userstudy.export import REGISTERED
         from ..studies.userstudy.plan_file import read
+        from ..studies.userstudy.session import REHEARSED
         from ..web.user_study import server as serving
     except ImportError as error:
         raise MissingExtraError("user studies need", str(error.name), "study") from None
@@ -77,6 +79,10 @@ def conduct(
     folder = data or new_folder()
     if rehearse and any((folder / name).exists() for name in ("journal.sqlite", "journal.jsonl")):
         raise click.UsageError(f"--data {folder}: contains a study already; expected another folder for each rehearsal")
+    if rehearse and (folder / REGISTERED).exists():
+        raise click.UsageError(f"--data {folder}: a study is registered there; expected another folder for a rehearsal")
+    if not rehearse and (folder / REHEARSED).exists():
+        raise click.UsageError(f"--data {folder}: has a rehearsal; expected another folder for the study itself")
     tasks = _tasks(study)
 
     def ready(service: StudyService) -> None:
@@ -87,6 +93,9 @@ def conduct(
             else f"the study is saved in {folder}; Ctrl-C ends the service, --data {folder} resumes it"
         )  # fmt: skip
 
+    if rehearse:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / REHEARSED).touch()
     try:
         with at.listen() as listening:
             serving.serve(

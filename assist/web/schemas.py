@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, SkipValidation
 
 from ..declare.declared import AnyText, Truth, declared
 from ..live.contrast import Contrast
 from ..live.explanation import WhyNothing, WhyPerson, WhyStep
-from ..live.views import MemberView, RobotView
+from ..live.views import MemberView, PersonView, RobotView
 
 
 class Problem(BaseModel):
@@ -89,6 +89,18 @@ class Member(MemberView):
     join: AnyText
 
 
+@declared(kw_only=True)
+class Attending(PersonView):
+    """A participant of a user study as the operator sees them: their progress, without beliefs."""
+
+    status: AnyText
+    condition: AnyText | None = None
+    study: Annotated[dict[str, Any], SkipValidation()]
+    connected: Truth
+    simulated: Truth
+    join: AnyText
+
+
 class Team(BaseModel):
     """The operator's view of the team. `fault` is the policy's error message if the policy failed."""
 
@@ -102,4 +114,4 @@ class Team(BaseModel):
     tasks: list[str]
     robots: list[RobotView]
     log: list[dict[str, Any]]
-    people: list[Member]
+    people: list[Member | Attending]

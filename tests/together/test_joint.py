@@ -11,6 +11,7 @@ import pytest
 from conftest import kit
 from joint import JointBounds, joint_bounds
 
+from assist.certify.options import BoundOptions
 from assist.certify.team_bound import upper_bound
 from assist.people.belief import Grid
 from assist.people.choices import Choices
@@ -93,7 +94,7 @@ def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float,
         assert value <= joint.upper + 4 * error
         if name == "none":
             assert abs(value - joint.never) <= 4 * error
-    bound = upper_bound(pool, jobs=1).upper
+    bound = upper_bound(pool, jobs=1, options=BoundOptions()).upper
     assert joint.lower <= bound + 1e-9
     # What the relaxation gives away where two people share a robot (docs/results/teams.md has other people).
     assert 100 * (bound - joint.upper) / abs(joint.upper) == pytest.approx(RELAXED[costs], abs=0.1)

@@ -41,6 +41,8 @@ from .record import StudyRecord
 
 JOURNAL, PLAN, EXPORT, REPORT = "journal.sqlite", "study.toml", "user-study.zip", "report"
 """Names in a study's folder; the last two are made from the journal, and can be made again."""
+REHEARSED = "rehearsed"
+"""Name of an empty file in the folder of a rehearsal, in which no real study begins."""
 
 WITHDRAWN = "withdrew"
 """The reason that remains of a withdrawal."""

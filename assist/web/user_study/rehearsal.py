@@ -23,6 +23,9 @@ from ...studies.userstudy.questionnaires import CHOICE, CHOICES, NUMBER, TEXT, T
 from ..client import Client
 from .service import StudyService
 
+PATIENCE = 600.0
+"""Seconds for which a request is repeated: on a busy machine a hundred participants wait for each other's reports."""
+
 
 class SimulatedParticipant:
     """A simulated participant of a rehearsal.
@@ -52,10 +55,10 @@ class SimulatedParticipant:
         self._person = SimulatedPerson(study.population, trust=study.setting.trust_rule(), seed=seed)
         self._rng = np.random.default_rng([seed, 2])
         self._lost = 0.0
-        visitor = Client(f"{base}/study#{service.join_url().partition('#')[2]}")
+        visitor = Client(f"{base}/study#{service.join_url().partition('#')[2]}", patience=PATIENCE)
         seat = visitor.ask("POST", "/api/study/seats", {"id": uuid.uuid4().hex, "simulated": True})
         self._name = seat["person"]
-        self._client = Client(base + seat["part"])
+        self._client = Client(base + seat["part"], patience=PATIENCE)
 
     def take_part(self) -> None:
         """Take part in the whole study."""

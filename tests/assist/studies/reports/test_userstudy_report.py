@@ -33,6 +33,7 @@ from assist.learning.statistics import between_groups, cronbach_alpha, detectabl
 from assist.studies.reports import study_report, userstudy_report
 from assist.studies.userstudy.csv_tables import rows
 from assist.studies.userstudy.csv_tables import written as written_rows
+from assist.studies.userstudy.export import REGISTERED
 from assist.studies.userstudy.tables import COLUMNS
 from assist.web.user_study import rehearsal, server
 from planner.system.errors import InputFileError, MissingExtraError
@@ -67,6 +68,8 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
     assert set(links := json.loads(said.stdout)) == {"url", "operator", "join"}
     assert links["join"]["everybody"].startswith(f"{links['url']}/study#")
     assert links["url"] == "https://host.example/kits"
+    late = CliRunner().invoke(main, ["serve", "--study", str(file), "--data", str(data)])
+    assert (late.exit_code, "has a rehearsal; expected another folder for the study itself" in late.stderr) == (2, True)
     with zipfile.ZipFile(data / "user-study.zip") as packed:
         packed.extractall(unpacked)
 
@@ -321,6 +324,8 @@ items = [{ name = "change", text = "Was it better?", options = ["-1", "0", "+1"]
 
 def test_what_the_command_refuses(tmp_path: Path) -> None:
     file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", "seed = 3\nparticipants = 8"))
+    (registered := tmp_path / "registered").mkdir()
+    (registered / REGISTERED).touch()
     for words, message in [
         (["serve"], "expected INSTANCE and --humans K, or --study FILE.toml"),
         (["serve", "--study", file], "--study: expected --data DIR as well"),
@@ -329,6 +334,10 @@ def test_what_the_command_refuses(tmp_path: Path) -> None:
             "--policy cannot be combined with --study",
         ),
         (["serve", "--study", file, "--data", tmp_path, "--rehearse", "9"], "the study is planned for 8 participants"),
+        (
+            ["serve", "--study", file, "--data", registered, "--rehearse", "8"],
+            "a study is registered there; expected another folder for a rehearsal",
+        ),
         (["serve", "--study", written(tmp_path / "bad.toml", "tasks = 1")], "bad.toml:1: tasks: 1; expected a list"),
     ]:
         result = CliRunner().invoke(main, [str(word) for word in words])
