@@ -116,7 +116,8 @@ def test_a_parts_interval_and_the_wholes_overlap(
         gamma=given["gamma"], robot=given["robot"],
     )  # fmt: skip
     part = closed_problem(TruncatedTask.of(table, states=states), Assumptions(**given))  # type: ignore[arg-type]
-    exact, same, bounds = (solve(problem, gap=0.05) for problem in (whole, everything, part))
+    # Bounds hold whenever a solution ends; one in a thousand of these takes minutes.
+    exact, same, bounds = (solve(problem, gap=0.05, time_limit=5) for problem in (whole, everything, part))
     assert len(everything.frontier.states) == 0  # type: ignore[union-attr]
     for one, other in ((exact, same), (exact, bounds)):
         assert one.lower <= other.upper
