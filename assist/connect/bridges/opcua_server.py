@@ -145,8 +145,8 @@ class OwnServer(Transport):
         )
         nodes.variables[name] = node
         if reports is not None:
+            self._inputs[node.nodeid.to_string()] = reports  # before clients may write, so that no value is lost
             await node.set_writable()
-            self._inputs[node.nodeid.to_string()] = reports
 
     def _typed(self, value: Any) -> Any:
         """Return a value with its type in OPC UA; None becomes an empty text."""
