@@ -64,7 +64,6 @@ class MemberView(PersonView):
     """The operator's view of a person: interval and mean of beta and theta, and the whole belief.
 
     `goals` has the probability of each goal, if the person pursues one of several.
-    Participants of a user study are in teams of their own; for them the fields of the belief are omitted.
     """
 
     history: Rows
