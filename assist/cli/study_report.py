@@ -13,13 +13,14 @@ from .terminal.console import ExitCode, fail, print_json, print_table
 
 
 @command("study-report data", "study-report")
-@click.argument("folder", metavar="DIR", type=click.Path(exists=True, path_type=Path))
-@out_option("a folder; `report` within DIR unless given", folder=True)
+@click.argument("place", metavar="DIR|FILE.zip", type=click.Path(exists=True, path_type=Path))
+@out_option("a folder; `report` within DIR, or FILE-report beside FILE.zip, unless given", folder=True)
 @json_option
-def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
+def study_report(place: Path, out: Path | None, as_json: bool) -> None:
     """Report on a user study: means, effects of conditions, questionnaires and dropouts.
 
-    DIR is the folder of `serve --study ... --data DIR`, during the study or afterwards, or an unpacked export.
+    DIR is the folder of `serve --study ... --data DIR`, during the study or afterwards. FILE.zip is an export; DIR may
+    also be one that was unpacked.
     """
     from planner.system.errors import InputFileError
 
@@ -27,9 +28,9 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     from ..studies.userstudy.session import REPORT
 
     require()
-    out = out or folder / REPORT
+    out = out or (place / REPORT if place.is_dir() else place.with_name(f"{place.stem}-{REPORT}"))
     try:
-        summary = write_report(folder, out)
+        summary = write_report(place, out)
     except (InputFileError, OSError) as error:
         fail(str(error), ExitCode.FAILED)
     if as_json:

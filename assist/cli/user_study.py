@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +12,13 @@ import click
 
 from planner.batch.results_folder import SolveOptions
 from planner.system.errors import MissingExtraError
+from planner.system.progress import stages
 
 from ..declare.options import Given
 from .options.common import is_given
 from .options.listening import Listening
 from .options.task import costs_of
-from .terminal.console import ExitCode, fail, note
+from .terminal.console import ExitCode, fail, note, one_line_errors
 
 if TYPE_CHECKING:
     from planner import CostToGo
@@ -64,6 +66,7 @@ def conduct(
         from ..studies.userstudy.plan_file import read
         from ..studies.userstudy.session import REHEARSED
         from ..web.user_study import server as serving
+        from ..web.user_study.rehearsal import Rehearsal
     except ImportError as error:
         raise MissingExtraError("user studies need", str(error.name), "study") from None
     try:
@@ -97,10 +100,13 @@ def conduct(
         folder.mkdir(parents=True, exist_ok=True)
         (folder / REHEARSED).touch()
     try:
-        with at.listen() as listening:
+        with (
+            one_line_errors(f"interrupted; `kitassist study-report {folder}` reports on those who were there"),
+            at.listen() as listening, stages() if rehearse else nullcontext() as show,
+        ):  # fmt: skip
             serving.serve(
-                study, tasks, folder, listening, ready, participants=rehearse, public_url=at.public_url,
-                trusted_proxies=at.trusted_proxy,
+                study, tasks, folder, listening, ready, rehearsal=Rehearsal(rehearse, show) if show else None,
+                public_url=at.public_url, trusted_proxies=at.trusted_proxy,
             )  # fmt: skip
     except UserCodeError as error:
         fail(str(error), ExitCode.USAGE)

@@ -77,7 +77,7 @@ class Client(Reports):
         """
         headers = {"Authorization": f"Bearer {self._token}", "Content-Type": "application/json"}
         data = None if body is None else json.dumps(body).encode()
-        given_up = time.monotonic() + self.patience
+        asked = time.monotonic()
         while True:
             try:
                 request = urllib.request.Request(self.url + path, data, headers, method=method)
@@ -85,10 +85,10 @@ class Client(Reports):
                     content = answer.read().decode()
                     return content if path.startswith("/api/log") else json.loads(content)
             except urllib.error.HTTPError as error:
-                if error.code not in AGAIN or time.monotonic() > given_up:
+                if error.code not in AGAIN or time.monotonic() > asked + self.patience:
                     raise Refusal.answered(error.code, _detail(error)) from None
             except (OSError, ValueError):  # the connection was lost, perhaps within an answer
-                if time.monotonic() > given_up:
+                if time.monotonic() > asked + self.patience:
                     raise
             time.sleep(self._pause)
 

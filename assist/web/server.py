@@ -373,8 +373,8 @@ async def _both(seats: Coroutine[Any, Any, None], bridge: Bridge) -> None:
 async def run(
     app: ASGIApp, listening: socket.socket, ready: Callable[[], None], beside: Coroutine[Any, Any, None],
     *, ends: bool = False, reload: Callable[[], None] | None = None,
-) -> None:  # fmt: skip
-    """Serve an application until a signal ends it, and run a coroutine at the same time.
+) -> int | None:  # fmt: skip
+    """Serve an application until a signal ends it, and run a coroutine at the same time; return the signal's number.
 
     Parameters
     ----------
@@ -394,9 +394,15 @@ async def run(
     logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
     server = server_of(app, ready)
     loop = asyncio.get_running_loop()
+    come: int | None = None
+
+    def end(number: int) -> None:
+        nonlocal come
+        come, server.should_exit = number, True
+
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
-            loop.add_signal_handler(number, setattr, server, "should_exit", True)
+            loop.add_signal_handler(number, end, number)
     if reload is not None:
         loop.add_signal_handler(signal.SIGHUP, reload)
     other = asyncio.create_task(beside)
@@ -408,3 +414,4 @@ async def run(
         other.cancel()
         with suppress(asyncio.CancelledError):
             await other
+    return come

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
+import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
@@ -36,6 +40,28 @@ if TYPE_CHECKING:
 require = partial(report_files.require, "jinja2", "markdown")
 
 
+@contextmanager
+def unpacked(place: Path) -> Iterator[Path]:
+    """Yield the folder with a study's data: the given one, or a temporary one with the content of an export.
+
+    Raises
+    ------
+    InputFileError
+        It is a file, but no ZIP file.
+    """
+    if place.is_dir():
+        yield place
+        return
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made) / place.name  # which messages name
+        try:
+            with zipfile.ZipFile(place) as packed:
+                packed.extractall(folder)
+        except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError):
+            raise InputFileError(f"{place}: no ZIP file; expected the folder of a study, or an export of one") from None
+        yield folder
+
+
 def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
     """Read a study's data from its journal, during the study or afterwards, or from an unpacked export.
 
@@ -54,27 +80,28 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
     return study, Tables(**{name: list(rows(folder / f"{name}.csv", columns)) for name, columns in COLUMNS.items()})
 
 
-def write_report(folder: Path, out: Path) -> dict[str, Any]:
+def write_report(place: Path, out: Path) -> dict[str, Any]:
     """Write the report of a study; return its numbers.
 
     It is written again if somebody has withdrawn or was erased meanwhile.
 
     Parameters
     ----------
-    folder : Path
-        Folder of the study, or of an unpacked export.
+    place : Path
+        Folder of the study, or an export of it, as a ZIP file or unpacked.
     out : Path
 
     Raises
     ------
     InputFileError, OSError
-        The folder is neither a study's folder nor an unpacked export, or a file in it is damaged.
+        It is neither a study's folder nor an export, or a file in it is damaged.
     """
-    while True:
-        before = _removed(folder)
-        summary = _written(folder, out)
-        if _removed(folder) == before:
-            return summary
+    with unpacked(place) as folder:
+        while True:
+            before = _removed(folder)
+            summary = _written(folder, out)
+            if _removed(folder) == before:
+                return summary
 
 
 def _removed(folder: Path) -> int:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import threading
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from planner import CostToGo
+from planner.system.progress import Progress, adding
 
 from ...live.simulated_person import SimulatedPerson
 from ...studies.userstudy.questionnaires import CHOICE, CHOICES, NUMBER, TEXT, TLX, Answer, Item
@@ -43,11 +44,13 @@ class SimulatedParticipant:
         The session's lock, since tasks solved on demand are not thread-safe.
     base : str
         Address at which the service listens.
+    client : callable
+        Returns the client of a link.
     """
 
     def __init__(
         self, service: StudyService, tasks: Mapping[str, CostToGo], number: int, leaves: str | None, lock: Any,
-        base: str,
+        base: str, client: Callable[[str], Client],
     ) -> None:  # fmt: skip
         study = service.study
         self.study, self._tasks, self._leaves, self._lock = study, tasks, leaves, lock
@@ -55,10 +58,10 @@ class SimulatedParticipant:
         self._person = SimulatedPerson(study.population, trust=study.setting.trust_rule(), seed=seed)
         self._rng = np.random.default_rng([seed, 2])
         self._lost = 0.0
-        visitor = Client(f"{base}/study#{service.join_url().partition('#')[2]}", patience=PATIENCE)
+        visitor = client(f"{base}/study#{service.join_url().partition('#')[2]}")
         seat = visitor.ask("POST", "/api/study/seats", {"id": uuid.uuid4().hex, "simulated": True})
         self._name = seat["person"]
-        self._client = Client(base + seat["part"], patience=PATIENCE)
+        self._client = client(base + seat["part"])
 
     def take_part(self) -> None:
         """Take part in the whole study."""
@@ -133,46 +136,75 @@ class SimulatedParticipant:
         return int(found) if found.is_integer() else found
 
 
-def rehearse(
-    service: StudyService, tasks: Mapping[str, CostToGo], participants: int, base: str, *, per_leaver: int = 8,
-    at_once: int = 8,
-) -> None:  # fmt: skip
-    """Run simulated participants until all have completed the study.
+class Rehearsal:
+    """Simulated participants who take part until enough of them have completed the study.
 
     Parameters
     ----------
-    service : StudyService
-        A running service.
-    tasks : mapping of str to CostToGo
     participants : int
         Number of participants who complete the study.
-    base : str
-        Address at which the service listens, which may differ from its public address.
-    per_leaver : int
-        Number of participants for each further one who leaves before the task.
-    at_once : int
-        Number of participants at the same time. More finish earlier, but slow the service.
+    progress : callable
+        Receives how many have, as in `planner.system.progress`.
     """
-    lock: threading.RLock = service.session.lock
-    early = [stage.name for stage in service.study.stages if stage.kind in ("consent", "instructions", "practice")]
-    leaving: list[str | None] = [early[number % len(early)] for number in range(participants // per_leaver)]
-    order: list[str | None] = [None] * participants
-    for number, stage in enumerate(leaving):
-        order.insert(number * per_leaver + per_leaver // 2, stage)
 
-    places = threading.Semaphore(service.study.participants or len(order))
+    per_leaver = 8
+    """Number of participants for each further one who leaves before the task."""
+    at_once = 8
+    """Number of participants at the same time. More finish earlier, but slow the service."""
 
-    def part(number: int) -> None:
-        # A stayer waits for the place of a leaver if the study is full. A leaver is then turned away.
-        stays = order[number] is None
-        if places.acquire(blocking=stays):
-            try:
-                SimulatedParticipant(service, tasks, number, order[number], lock, base).take_part()
-            finally:
-                if not stays:
-                    places.release()
+    def __init__(self, participants: int, progress: Progress = lambda *_: None) -> None:
+        self.participants, self._progress = participants, progress
+        self._clients: list[Client] = []
+        self._ended = threading.Event()
 
-    group = service.study.group
-    # The members of a group take part at the same time.
-    with ThreadPoolExecutor(at_once if group is None else max(at_once, group.size)) as threads:
-        list(threads.map(part, range(len(order))))
+    def run(self, service: StudyService, tasks: Mapping[str, CostToGo], base: str) -> None:
+        """Let all take part.
+
+        Parameters
+        ----------
+        service : StudyService
+            A running service.
+        tasks : mapping of str to CostToGo
+        base : str
+            Address at which the service listens, which may differ from its public address.
+        """
+        lock: threading.RLock = service.session.lock
+        early = [stage.name for stage in service.study.stages if stage.kind in ("consent", "instructions", "practice")]
+        leaving = [early[number % len(early)] for number in range(self.participants // self.per_leaver)]
+        order: list[str | None] = [None] * self.participants
+        for number, stage in enumerate(leaving):
+            order.insert(number * self.per_leaver + self.per_leaver // 2, stage)
+
+        places = threading.Semaphore(service.study.participants or len(order))
+        advance = adding(self._progress, "simulated participants", self.participants)
+
+        def part(number: int) -> None:
+            # A stayer waits for the place of a leaver if the study is full. A leaver is then turned away.
+            stays = order[number] is None
+            if places.acquire(blocking=stays):
+                try:
+                    if not self._ended.is_set():
+                        one = SimulatedParticipant(service, tasks, number, order[number], lock, base, self._client)
+                        one.take_part()
+                        advance(stays)
+                finally:
+                    if not stays or self._ended.is_set():
+                        places.release()
+
+        group = service.study.group
+        # The members of a group take part at the same time.
+        with ThreadPoolExecutor(self.at_once if group is None else max(self.at_once, group.size)) as threads:
+            list(threads.map(part, range(len(order))))
+
+    def end(self) -> None:
+        """Let nobody else come, and those who take part give up as soon as the service no longer answers."""
+        self._ended.set()
+        for one in self._clients:
+            one.patience = 0.0
+
+    def _client(self, link: str) -> Client:
+        client = Client(link, patience=PATIENCE)
+        self._clients.append(client)
+        if self._ended.is_set():
+            client.patience = 0.0
+        return client

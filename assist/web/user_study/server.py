@@ -15,14 +15,14 @@ from ..app import make_app
 from ..request_limits import Allowance, Networks
 from ..server import address, run
 from ..tokens import AccessTokens
-from .rehearsal import rehearse
+from .rehearsal import Rehearsal
 from .routes import router
 from .service import StudyService
 
 
 def serve(
     study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path, listening: socket.socket,
-    ready: Callable[[StudyService], None], *, participants: int = 0, public_url: str | None = None,
+    ready: Callable[[StudyService], None], *, rehearsal: Rehearsal | None = None, public_url: str | None = None,
     trusted_proxies: Networks = (),
 ) -> None:  # fmt: skip
     """Serve a study until a signal ends it, or until a rehearsal is complete.
@@ -37,23 +37,31 @@ def serve(
     listening : socket
     ready : callable
         Called when the service accepts requests.
-    participants : int
-        Number of simulated participants of a rehearsal; 0 for a real study.
+    rehearsal : Rehearsal, optional
+        Simulated participants; without them it is a real study.
     public_url : str, optional
         Public address of the service, as `public_address` returns it, if it differs from where the service listens.
     trusted_proxies : sequence of networks
         Proxies that report the client's address, as `networks` returns them.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        A signal, its argument, ended a rehearsal.
     """
-    asyncio.run(_serve(study, tasks, folder, listening, ready, participants, public_url, trusted_proxies))
+    number = asyncio.run(_serve(study, tasks, folder, listening, ready, rehearsal, public_url, trusted_proxies))
+    if rehearsal is not None and number is not None:
+        raise KeyboardInterrupt(number)
 
 
 async def _serve(
     study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path, listening: socket.socket,
-    ready: Callable[[StudyService], None], participants: int, public_url: str | None, trusted_proxies: Networks,
-) -> None:  # fmt: skip
+    ready: Callable[[StudyService], None], rehearsal: Rehearsal | None, public_url: str | None,
+    trusted_proxies: Networks,
+) -> int | None:  # fmt: skip
     session = StudySession(study, tasks, folder)
     access = AccessTokens.kept(folder / "secret", public_url or address(listening))
-    service = StudyService(session, access, ticks=not participants, rehearsal=participants > 0)
+    service = StudyService(session, access, ticks=rehearsal is None, rehearsal=rehearsal is not None)
     begun = asyncio.Event()
 
     def is_ready() -> None:
@@ -62,10 +70,13 @@ async def _serve(
 
     async def rehearsing() -> None:
         await begun.wait()
-        if participants:
-            await asyncio.to_thread(rehearse, service, tasks, participants, address(listening))
+        if rehearsal is not None:
+            try:
+                await asyncio.to_thread(rehearsal.run, service, tasks, address(listening))
+            finally:
+                rehearsal.end()
 
     # Simulated participants send requests faster than people do.
-    allowance = Allowance(rate=1e6, burst=1e6) if participants else None
+    allowance = Allowance(rate=1e6, burst=1e6) if rehearsal is not None else None
     app = make_app(service, allowance=allowance, more=[router], trusted_proxies=trusted_proxies)
-    await run(app, listening, is_ready, rehearsing(), ends=participants > 0)
+    return await run(app, listening, is_ready, rehearsing(), ends=rehearsal is not None)

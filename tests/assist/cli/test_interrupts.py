@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner, Result
+from userstudies import written
 
 from assist.cli import main
 from assist.cli.terminal.console import one_line_errors
@@ -176,3 +178,20 @@ def test_what_is_no_signal_passes_through() -> None:
 
     with ThreadPoolExecutor(1) as threads:
         assert threads.submit(in_a_thread).result() is before
+
+
+def test_a_rehearsal_ends_at_a_signal_in_the_midst_of_its_requests(tmp_path: Path) -> None:
+    file, data = written(tmp_path / "study.toml"), tmp_path / "data"
+    words = ["serve", "--study", str(file), "--rehearse", "40", "--data", str(data), "--port", "0"]
+    with subprocess.Popen(
+        [str(Path(sys.executable).with_name("kitassist")), *words],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert "operator" in process.stdout.readline()
+        time.sleep(1)
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=60)  # five seconds, on a machine that has nothing else to do
+    assert process.returncode == 128 + signal.SIGTERM
+    assert said.endswith(f"interrupted; `kitassist study-report {data}` reports on those who were there\n")
+    assert not (data / "report").exists()

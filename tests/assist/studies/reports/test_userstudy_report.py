@@ -11,7 +11,6 @@ import re
 import statistics
 import time
 import zipfile
-from functools import partial
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,7 +34,7 @@ from assist.studies.userstudy.csv_tables import rows
 from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.export import REGISTERED
 from assist.studies.userstudy.tables import COLUMNS
-from assist.web.user_study import rehearsal, server
+from assist.web.user_study import rehearsal
 from planner.system.errors import InputFileError, MissingExtraError
 
 
@@ -52,7 +51,7 @@ def read(folder: Path, name: str) -> list[dict[str, str]]:
 @pytest.mark.slow
 def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # All arrive at once, and the leaver is slow, so that for a while one place is missing.
-    monkeypatch.setattr(server, "rehearse", partial(rehearsal.rehearse, at_once=9))
+    monkeypatch.setattr(rehearsal.Rehearsal, "at_once", 9)
     step = rehearsal.SimulatedParticipant._step
 
     def slowly(self: Any, seen: dict[str, Any]) -> dict[str, Any]:
@@ -125,10 +124,11 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
         assert f"](figures/{name}.png)" in text
         assert (data / "report" / "figures" / f"{name}.svg").stat().st_size > 1000
 
-    # An unpacked export gives the same report as the folder, and `fit` reads its log.
+    # An export gives the same report as the folder, and `fit` reads its log.
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(userstudy_report, "_pictures", lambda *_: iter(()))  # which are drawn already
         assert json.loads(run("study-report", unpacked, "--json").stdout) == summary
+        assert json.loads(run("study-report", data / "user-study.zip", "--json").stdout) == summary
         assert "actions per task" in run("study-report", data, "--out", tmp_path / "again").stdout
     fitted = json.loads(run("fit", KITTING / "tiny.pddl", unpacked / "log-tiny.jsonl", "--json").stdout)
     assert {one["person"]: one["actions"] for one in fitted} == {
@@ -265,6 +265,23 @@ def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:
         file.write_text(wrong)
         with pytest.raises(InputFileError, match=words):
             userstudy_report.of_folder(folder)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_packed_export_has_its_report_beside_it(tmp_path: Path) -> None:
+    folder = exported(tmp_path / "export")
+    with zipfile.ZipFile(tmp_path / "user-study.zip", "w") as packed:
+        for file in folder.iterdir():
+            packed.write(file, file.name)
+    said = run("study-report", tmp_path / "user-study.zip").stdout
+    assert said.endswith(f"the report is {tmp_path / 'user-study-report' / 'report.md'}\n")
+    run("study-report", folder, "--out", tmp_path / "again")
+    first, second = (tmp_path / name / "summary.json" for name in ("user-study-report", "again"))
+    assert first.read_text() == second.read_text()
+    refused = CliRunner().invoke(main, ["study-report", str(folder / "study.toml")])
+    assert (refused.exit_code, refused.stderr) == (
+        1, f"{folder / 'study.toml'}: no ZIP file; expected the folder of a study, or an export of one\n",
+    )  # fmt: skip
 
 
 def test_a_folder_without_a_study_is_refused_in_one_line(tmp_path: Path) -> None:
