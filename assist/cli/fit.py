@@ -99,7 +99,7 @@ def fit(
         if what.problems:
             seen = with_goals([str(log.instance), *what.problems], file, log.domain, reading, setting)
         else:
-            seen = with_task(found, file, reading, setting, table=chooses is not None)
+            seen = with_task(found, file, reading, setting, choices=chooses is not None)
         method = method_of(setting)
         if what.trust:
             carry, neighbours = not setting.theta_per_episode, setting.neighbours

@@ -10,14 +10,13 @@ from typing import Any, Literal, TypeAlias, Unpack
 
 import numpy as np
 
-from planner import CostToGo, Table
+from planner import CostToGo
 from planner.system.errors import expected
 from planner.system.limits import Deadline
 from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.results import Result
 
 from ..people.choice_model import ChoiceModel, boltzmann, chances, value
-from ..people.choices import Choices
 from ..people.decision import NOTHING, perceived_cost
 from ..people.human import Human
 from ..people.misconception import Misconception
@@ -25,6 +24,7 @@ from ..people.ranges import Population
 from ..people.terms import TERMS, Term
 from ..people.weighted_choice import Weighted
 from ..person.settings import Setting
+from ..person.state_cache import StateCache
 from .diagnostics import check
 from .evidence import Evidence, Reading, Records, Tasks, evidence
 from .hierarchy import Hierarchy, fit_terms
@@ -227,8 +227,7 @@ def fit(
     model : "misconceptions", "terms", mapping of str to callable, or callable, optional
         What is estimated besides. "misconceptions": sigma and the perceived cost-to-go, too, which takes a second or
         more for each person. "terms", or terms by name: the weights of `TERMS`, or of these; the model is then
-        hierarchical (`hierarchy`). A function is a choice model in place of cost-to-go; beta is then its parameter, and
-        the task's cost-to-go must be a table.
+        hierarchical (`hierarchy`). A function is a choice model in place of cost-to-go; beta is then its parameter.
     jobs : int
         Number of threads.
     time_limit : float, optional
@@ -241,7 +240,7 @@ def fit(
     InputFileError, TypeError
         As of `replayed`.
     ValueError
-        As of `replayed`; or a model is given for one of several goals; or a choice model has no table.
+        As of `replayed`; or a model is given for one of several goals.
     MemoryError
         A person's misconceptions would take too much memory.
 
@@ -272,8 +271,6 @@ def fit(
     if seen.goals or chooses is not None:
         method = replace(method, largest_beta=largest_beta(observations, method))
     if chooses is not None:
-        if not isinstance(seen.costs, Table):
-            raise ValueError("a choice model: expected a table of the whole task")
         observations = with_model(observations, chooses, seen.costs, method.largest_beta or 1.0)
     if misconceptions:
         require_memory(observations, method.misconception_memory_mb)
@@ -321,18 +318,19 @@ def _with_likeliest(fit: PersonEstimate) -> PersonEstimate:
 
 
 def with_model(
-    observations: Sequence[Observations], chooses: ChoiceModel, table: Table, largest: float
+    observations: Sequence[Observations], chooses: ChoiceModel, known: CostToGo, largest: float
 ) -> list[Observations]:
     """Return observations with the probabilities of a choice model, and with gains in its own V.
 
-    The model is evaluated once, on a grid of beta. Between two grid points, probabilities are interpolated.
+    The model is evaluated once, in the visited states and in those to which suggestions lead, on a grid of beta.
+    Between two grid points, probabilities are interpolated.
 
     Parameters
     ----------
     observations : sequence of Observations
     chooses : ChoiceModel
-    table : Table
-        Table of the task, whose state numbers `Observations.state` has.
+    known : CostToGo
+        Cost-to-go of the task, whose state numbers `Observations.state` has.
     largest : float
         Upper end of the range of beta.
 
@@ -341,27 +339,25 @@ def with_model(
     UserCodeError
         The model fails, or does not return probabilities.
     """
-    choices = Choices.of(table)
+    numbers = [o.state for o in observations]
+    after = [o.targets[np.arange(len(o)), np.maximum(o.suggested, 0)] for o in observations]
+    states = np.unique(np.concatenate([*numbers, *after]))
+    choices = StateCache(known).around(states).choices  # the states, and their successors, which have no choices
     q = perceived_cost(choices, choices.h)
     v = value(chooses, choices, q)
-    numbers = [o.state for o in observations]
-    states, rows = np.unique(np.concatenate(numbers), return_inverse=True)
     beta = SMALL * largest * np.expm1(np.linspace(0.0, math.log1p(1 / SMALL), 257))
     beta[-1] = largest
-    known = np.empty((len(states), choices.applicable.shape[1], len(beta)))
-    for begin in range(0, len(beta), 8):  # a model returns all states, of which few are visited, for each beta
+    chance = np.empty((len(states), choices.applicable.shape[1], len(beta)))
+    for begin in range(0, len(beta), 8):  # a model returns all rows, successors included, for each beta
         block = slice(begin, begin + 8)
-        known[:, :, block] = np.moveaxis(chances(chooses, choices, q, beta[block])[:, states], 0, 2)
+        chance[:, :, block] = np.moveaxis(chances(chooses, choices, q, beta[block])[:, : len(states)], 0, 2)
     found = []
-    for o, number, own in zip(
-        observations, numbers, np.split(rows, np.cumsum([len(n) for n in numbers])[:-1]), strict=True
-    ):
-        width = min(o.excess.shape[1], known.shape[1])
-        chance = np.zeros((len(o), o.excess.shape[1], len(beta)))
-        chance[:, :width] = known[own, :width]
-        told = o.suggested != NOTHING
-        after = choices.targets[number, np.maximum(o.suggested, 0)]
+    for o, number, suggested in zip(observations, numbers, after, strict=True):
+        x, then = np.searchsorted(states, number), np.searchsorted(states, suggested)
+        width = min(o.excess.shape[1], chance.shape[1])
+        own = np.zeros((len(o), o.excess.shape[1], len(beta)))
+        own[:, :width] = chance[x, :width]
         with np.errstate(invalid="ignore"):
-            gain = np.where(told & (v[after] != v[number]), v[after] - v[number], 0.0)
-        found.append(replace(o, gain=gain, own=Chances(beta, chance)))
+            gain = np.where((o.suggested != NOTHING) & (v[then] != v[x]), v[then] - v[x], 0.0)
+        found.append(replace(o, gain=gain, own=Chances(beta, own)))
     return found

@@ -136,13 +136,12 @@ def task_log_options(*, required: bool = True) -> Option[Any]:
 
 
 def with_task(
-    found: Instance, file: Path, reading: ReadingOptions, setting: ReadingSetting, *, table: bool = False
+    found: Instance, file: Path, reading: ReadingOptions, setting: ReadingSetting, *, choices: bool = False
 ) -> Evidence:
     """Replay a log in the task of an instance. Expected errors end the command in one line.
 
-    With `table`, states are those of a table of the whole task, as a choice model needs it.
+    With `choices`, the result answers for further states, as a choice model asks for those that suggestions lead to.
     """
-    from ...person.person_problem import WHOLE, is_whole
 
     def loaded() -> CostToGo:
         tell_of_compiling()
@@ -151,17 +150,16 @@ def with_task(
         if task.decided_by_translator:
             why = "the goal is unreachable or holds in the initial state, so nothing can be estimated"
             fail(f"{found}: {why}", ExitCode.FAILED)
-        if not table:
-            walked.append(planner.OnDemand(task))
-            return walked[0]
-        most = min(WHOLE, setting.max_states)
-        whole = planner.cost_to_go(task, max_states=most, cache=planner.Cache(task))
-        if not is_whole(whole):
-            raise click.UsageError(f"chooses: expected a task of at most {most:,} states")
-        return whole
+        if choices:
+            return planner.cost_to_go(
+                task, max_states=setting.max_states, cache=planner.Cache(task, _cache(setting)), jobs=reading.jobs,
+                limits=Limits(seconds=setting.time_limit),
+            )  # fmt: skip
+        walked.append(planner.OnDemand(task))
+        return walked[0]
 
     walked: list[OnDemand] = []
-    evaluate = None if table else lambda wanted: _evaluate(walked[0], wanted, reading, setting)
+    evaluate = None if choices else lambda wanted: _evaluate(walked[0], wanted, reading, setting)
     return reading.replayed(file, setting, loaded, evaluate=evaluate)
 
 
