@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import Table, sweep, task_of
+from planner import known_costs
 
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
@@ -71,9 +71,7 @@ class PoolSource:
             self._waits, self.pool = False, instance
         else:
             self._waits, self._size = True, max(12, humans)
-            if not isinstance(instance, Table):
-                instance = sweep(task_of(instance))
-            self._table = instance
+            self._known = known_costs(instance)
             self.pool = self._sample(0)
         self.pool.setting.require_questions(possible=False)
         self.pool.setting.require_effect()
@@ -81,7 +79,7 @@ class PoolSource:
             raise ValueError(f"humans {humans}: expected 1 to {len(self.pool.people)}, the size of the pool")
 
     def _sample(self, seed: int) -> Pool:
-        return Pool.sample(self._table, self._size, seed=seed, states=MAX_ENUMERATED, **self._options)
+        return Pool.sample(self._known, self._size, seed=seed, states=MAX_ENUMERATED, **self._options)
 
     def drawn(self, seed: int | None) -> bool:
         """Draw the pool if this is the first reset with a seed, and return whether it was drawn now."""
@@ -268,12 +266,8 @@ class Sight:
     hidden : tuple of int
         H and T, the shape of a belief.
     largest : float
-        The value that stands for the infinite cost-to-go of a dead end: 1 above the largest finite one (cost units).
-
-    Raises
-    ------
-    ValueError
-        States are solved on demand: an environment has a fixed number of states and of actions.
+        The value that stands for the infinite cost-to-go of a dead end: 1 above the largest finite one (cost units). If
+        that is unknown, 1 above what a person pays at most in an episode, which then stands for all that is larger.
     """
 
     def __init__(self, teams: Teams, *, beliefs: bool) -> None:
@@ -283,7 +277,9 @@ class Sight:
         pomdps = [policy.pomdp for policy in self._policies]
         self.hidden, self._prior = pomdps[0].prior.shape, np.array([pomdp.prior for pomdp in pomdps])
         self.robots, self.states = max(one.robot_actions for one in extents), max(one.states for one in extents)
-        self.models, self.largest = len(pomdps), max(one.farthest for one in extents) + 1.0
+        self.models, farthest = len(pomdps), max(one.farthest for one in extents)
+        paid = teams.pool.setting.max_steps * max(policy.dearest for policy in self._policies)
+        self.largest = (farthest if np.isfinite(farthest) else paid) + 1.0
         self._offset = np.cumsum([0, *(len(pomdp.robot_actions) for pomdp in pomdps[:-1])])
         self._whole = all(policy.problem.complete for policy in self._policies)
         self._of_all = dict[Callable[..., Any], NDArray[Any]]()
@@ -328,7 +324,7 @@ class Sight:
     def _h(self, pomdp: AssistPOMDP, rows: Ints) -> NDArray[np.float32]:
         """Return the cost-to-go of each goal, shape (m, G)."""
         h = pomdp.model.choices.goals.h[:, rows].T
-        return np.where(np.isfinite(h), h, self.largest).astype(np.float32)
+        return np.minimum(h, self.largest).astype(np.float32)
 
     def mask(self) -> NDArray[np.int8]:
         """Return the mask of robot actions of each person, shape (N, K, R); finished people have only action 0."""

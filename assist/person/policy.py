@@ -32,7 +32,7 @@ OfRows = Callable[[Ints], Floats]
 
 
 class Extent(NamedTuple):
-    """The largest numbers that occur in a person's problem.
+    """The largest numbers that occur in a person's problem, or upper bounds on them if states are solved on demand.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Extent(NamedTuple):
     robot_actions : int
         R, the largest number of robot actions in a state.
     farthest : float
-        The largest finite cost-to-go of any goal, in cost units.
+        The largest finite cost-to-go of any goal, in cost units; infinite if it is unknown.
     """
 
     states: int

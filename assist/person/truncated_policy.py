@@ -57,6 +57,9 @@ A table answers at once; a query by symmetry takes longer, and a search may take
 NEVER = (-1.0,)
 """The key of estimates for a robot that never helps."""
 
+MOST_STATES = 1 << 62
+"""Number of states that an extent has at most, so that it fits the integers of an environment's space."""
+
 SCANNED = 1 << 16
 """Number of states of a table that are looked at together."""
 
@@ -169,19 +172,12 @@ class TruncatedPolicy(Policy):
 
     @cached_property
     def extent(self) -> Extent:
-        """The largest numbers that occur anywhere in the task; they are looked for in all of its states.
-
-        Raises
-        ------
-        ValueError
-            The task is solved on demand, so that they are not known.
-        """
+        """The largest numbers that occur anywhere in the task, from all states of a table or from the task's facts."""
         known = self.task.known if isinstance(self.task, Remembering) else self.ground.known
         tables = each_of(known)
         if not all(isinstance(one, Table) for one in tables):
-            raise ValueError(
-                f"{self.task.task.name}: expected a task of which all states are known, to find the largest"
-            )
+            task = self.task.task  # no state has more values than the variables
+            return Extent(min(math.prod(task.sizes), MOST_STATES), self._robot_actions(task.most_at_once), math.inf)
         states, most, farthest = len(tables[0]), 0, 0.0
         for begin in range(0, states, SCANNED):
             block = np.arange(begin, min(begin + SCANNED, states))
@@ -193,7 +189,10 @@ class TruncatedPolicy(Policy):
             most = max(most, int(np.bincount(source[goes_on.any(axis=1)]).max(initial=0)))
             h = np.concatenate([one.lookup(block) for one in tables])
             farthest = max(farthest, float(h[np.isfinite(h)].max(initial=0.0)))
-        return Extent(states, 1 + most * (1 + self.assumed.robot.execute), farthest)
+        return Extent(states, self._robot_actions(most), farthest)
+
+    def _robot_actions(self, suggestions: int) -> int:
+        return 1 + suggestions * (1 + self.assumed.robot.execute)
 
     @property
     def searches(self) -> bool:

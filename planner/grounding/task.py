@@ -211,6 +211,19 @@ class Task(Pictured):
         return found
 
     @cached_property
+    def most_at_once(self) -> int:
+        """A number of actions of which no state has more: the most that may apply at any value of some variable."""
+        names, found = self.first_of_name.tolist(), len(set(self.actions))
+        for variable, size in enumerate(self.sizes):
+            each: list[set[int]] = [set() for _ in range(size)]
+            for operator in self.operators:
+                value = dict(operator.preconditions).get(variable)
+                for some in each if value is None else each[value : value + 1]:
+                    some.add(names[operator.action])
+            found = min(found, max(map(len, each)))
+        return found
+
+    @cached_property
     def action_costs(self) -> NDArray[np.float64]:
         """The cost of each action in the file's unit, shape (actions,); read-only."""
         costs = np.asarray(self.in_unit(np.array(self.costs, dtype=np.float64)))

@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import kit
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils.conversions import parallel_to_aec
@@ -132,9 +133,44 @@ def test_on_rows_that_grow_all_is_seen_as_on_the_whole_task(
     assert helped > 80
 
 
-def test_an_environment_needs_to_know_all_states(tiny: Table) -> None:
-    with pytest.raises(ValueError, match="expected a task of which all states are known"):
-        TeamEnv(Pool.sample(OnDemand(tiny.task), 2, seed=1), 2)
+@pytest.mark.parametrize("name", ["tiny", "sealed"])
+def test_states_on_demand_give_the_episodes_of_the_whole_task(name: str) -> None:
+    """Of the spaces, the numbers of states and of robot actions are upper bounds; states are numbered as met."""
+    table, setting = kit(name), Setting(c_suggest=0.1, max_steps=25, suggestions="all")
+    whole, asked = (
+        TeamVectorEnv(Pool.sample(task, 3, seed=1, setting=setting, region=10**6), 5, 2)
+        for task in (table, OnDemand(table.task, jobs=1))
+    )
+    few, many = (env.single_observation_space["alone"].shape[1] for env in (whole, asked))
+    assert few <= many == 1 + table.task.most_at_once
+    assert np.diff(table.space.transitions.offsets).max() <= table.task.most_at_once
+    assert (asked.single_observation_space["state"].nvec >= len(table)).all()
+    rng, seen, other = np.random.default_rng(3), *(env.reset(seed=4)[0] for env in (whole, asked))
+    for _ in range(60):
+        for field, array in seen.items():
+            if field not in ("action_mask", "alone", "state", "cost_to_go"):
+                np.testing.assert_allclose(other[field], array, rtol=1e-6, err_msg=field)
+        dead = seen["cost_to_go"] == whole.single_observation_space["cost_to_go"].high
+        lost = asked.single_observation_space["cost_to_go"].high
+        assert (lost == 25 * table.task.action_costs.max(initial=1.0) + 1).all()
+        np.testing.assert_array_equal(other["cost_to_go"], np.where(dead, lost, seen["cost_to_go"]))
+        np.testing.assert_allclose(other["alone"][..., :few], seen["alone"], rtol=1e-6)
+        assert not other["alone"][..., few:].any()
+        assert asked.observation_space.contains(other)
+        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in seen["action_mask"]])
+        person, robot = np.divmod(actions - 1, few)
+        found, same = whole.step(actions), asked.step(np.where(actions == 0, 0, 1 + person * many + robot))
+        assert not same[4]["illegal"].any()
+        for k in range(1, 4):
+            np.testing.assert_allclose(same[k], found[k], atol=1e-12)
+        seen, other = found[0], same[0]
+
+
+def test_an_environment_of_a_task_on_demand_passes_the_library_check(tiny: Table) -> None:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*not able to test alternative render modes.*")
+        check_env(TeamEnv(OnDemand(tiny.task, jobs=1), 2), skip_render_check=True)
+    parallel_api_test(parallel_env(OnDemand(tiny.task, jobs=1), 2), num_cycles=20)
 
 
 def test_gymnasium_finds_nothing_wrong(pool: Pool) -> None:
