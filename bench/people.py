@@ -29,11 +29,11 @@ from simulated_people import observed, record_with_terms
 from tables import cell, record_option, write_record
 
 from assist.learning import Log, Method, observe, replay
+from assist.learning.comparison import ratio
 from assist.learning.hierarchy import fit_hierarchy, fit_terms, pooled
 from assist.learning.logit_likelihood import Likelihood
 from assist.learning.observations import EvaluatedStates, Observations
 from assist.learning.replay import Recording, situation
-from assist.learning.statistics import ratio
 from assist.people import TERMS, Situation, Term, features
 from planner import Instance, Table, cost_to_go, load
 from planner.search.state_space import UNREACHED, plan_lengths

@@ -54,7 +54,7 @@ ROOMS = {
         computation truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.certify.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
-    "assist.learning": """method statistics repeated_measures log_steps log_json log_files log comparison intervals
+    "assist.learning": """method log_steps log_json log_files log intervals comparison
         advice_log
         advice_rules advice_model advice_fit replay observations evidence neighbours_in_logs likelihood
         likelihood_table likelihood_arrays first_estimates person_estimate maximum_likelihood
@@ -68,7 +68,8 @@ ROOMS = {
         uncertain_actions beliefs live_questions decision_point robot_places decisions knowledge desk views event_base
         events reports record assistant store people_store header history team session simulated_person
         trace_reasons""",
-    "assist.studies": "study plan_tables protocol tasks cells runner own_code_trials own_code",
+    "assist.studies": """statistics repeated_measures study plan_tables protocol tasks cells runner own_code_trials
+        own_code""",
     "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
         participant_team roll teams events record cohort session csv_tables tables export
         forecast""",

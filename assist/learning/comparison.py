@@ -6,11 +6,13 @@ are paired by person, with a correction for the number of models.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from planner.system.arrays import read_only
@@ -19,8 +21,7 @@ from planner.system.limits import Deadline
 from planner.system.results import Result
 
 from ..people.decision import Floats
-from .statistics import Comparison as Tested
-from .statistics import IntervalEstimate, holm, ratio
+from .intervals import IntervalEstimate, holm
 
 FOLDS = 8
 
@@ -147,7 +148,7 @@ class Comparison(Result):
             if name != reference:
                 mean, error = ratio(of_reference - logs[name], choices)
                 ends = IntervalEstimate.of(mean, error, count - 1, level)
-                p = Tested.of(mean, error, count - 1, level).p if error > 0 else 1.0
+                p = 2 * float(scipy.special.stdtr(count - 1, -abs(mean / error))) if error > 0 else 1.0
                 better = int((logs[name] > of_reference).sum())
                 row = replace(row, difference=mean, interval=(ends.low, ends.high), p=p, better_for=better)
             rows.append(row)
@@ -235,6 +236,19 @@ def compared(
     ordered = {name: logs[name] for name in models if name in logs}
     found = Comparison.of(people, choices, ordered, parameters, reference, level)
     return replace(found, left_out=tuple(name for name in models if name not in logs))
+
+
+def ratio(sums: Floats, counts: Floats | NDArray[np.int64]) -> tuple[float, float]:
+    """Return the mean per choice and its standard error over people (ratio estimator, by the delta method).
+
+    Parameters
+    ----------
+    sums, counts : arrays, shape (K,)
+        Total of each person, and the number of their choices.
+    """
+    found, people = sums.sum() / counts.sum(), len(counts)
+    spread = ((sums - found * counts) ** 2).sum() * people / (people - 1)
+    return float(found), float(math.sqrt(spread) / counts.sum())
 
 
 def folds_of(people: int, folds: int) -> NDArray[np.int64]:

@@ -22,8 +22,8 @@ import numpy as np
 from planner.system.results import Result
 
 from ..people.decision import Floats
+from .intervals import wilson
 from .person_estimate import CHECKED, UNCHECKED, Check, PersonEstimate, people_of
-from .statistics import wilson
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,15 +1,84 @@
-"""Intervals: where the likelihood has fallen too far, and equal tails of a distribution that is known at nodes."""
+"""Intervals: by standard errors, of shares, where a likelihood has fallen too far, equal tails; Holm's correction."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
+import scipy  # its modules are slow to import, and first estimates need none of them
+
+from planner.system.files import finite
 
 from ..people.decision import Floats
 
 Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class IntervalEstimate:
+    """An estimate with a confidence interval.
+
+    Attributes
+    ----------
+    value : float
+    low, high : float
+        Ends of the interval; NaN where the data determine none, such as that of a single pool.
+    """
+
+    value: float
+    low: float = math.nan
+    high: float = math.nan
+
+    def record(self) -> dict[str, float | None]:
+        """Return the fields as plain data, with None for NaN."""
+        return {"mean": finite(self.value), "low": finite(self.low), "high": finite(self.high)}
+
+    def within(self, least: float, most: float) -> IntervalEstimate:
+        """Return the estimate with its interval cut at the range of what is estimated.
+
+        Without variance there is no interval: that all values seen are equal does not show that the next one is.
+        """
+        if math.isclose(self.low, self.high, rel_tol=1e-9, abs_tol=1e-12):
+            return IntervalEstimate(self.value)
+        return IntervalEstimate(self.value, *(min(max(end, least), most) for end in (self.low, self.high)))
+
+    @classmethod
+    def of(cls, value: float, error: float, freedom: float, level: float) -> IntervalEstimate:
+        """Return Student's interval for a standard error."""
+        if not (math.isfinite(error) and freedom > 0):
+            return cls(value)
+        half = float(scipy.special.stdtrit(freedom, (1 + level) / 2)) * error
+        return cls(value, value - half, value + half)
+
+
+NONE = IntervalEstimate(math.nan)
+"""An estimate that the data do not determine."""
+
+
+def wilson(successes: int, n: int, level: float = 0.95) -> IntervalEstimate:
+    """Return the share of successes with the interval of Wilson (1927); NaN without any members."""
+    if not n:
+        return NONE
+    ends = scipy.stats.binomtest(successes, n).proportion_ci(level, method="wilson")
+    return IntervalEstimate(successes / n, float(ends.low), float(ends.high))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return the p-values adjusted for their number (Holm, 1979), which bounds the family-wise error.
+
+    Parameters
+    ----------
+    p_values : sequence of float
+        Undefined ones (NaN) count as 1: the family is as large as it was planned.
+    """
+    given = np.asarray(p_values, dtype=float)
+    values = np.where(np.isnan(given), 1.0, given)
+    order, found = np.argsort(values, kind="stable"), np.empty(len(values))
+    found[order] = np.maximum.accumulate(np.minimum(1.0, values[order] * np.arange(len(values), 0, -1)))
+    return np.where(np.isnan(given), np.nan, found).tolist()
 
 
 def largest_fall(level: float) -> float:
@@ -37,11 +106,10 @@ def end_of(
     tolerance, relative : float
         Largest error of the end: of a value, and as a share of it.
     """
-    from scipy.optimize import brentq  # slow to import, and first estimates do not need it
-
     for outside in outwards:
         if margin(outside) < 0:
-            found = brentq(margin, inside, outside, xtol=tolerance, rtol=relative) if margin(inside) > 0 else inside
+            root = scipy.optimize.brentq
+            found = root(margin, inside, outside, xtol=tolerance, rtol=relative) if margin(inside) > 0 else inside
             return float(found), False
         inside = outside
     return inside, True

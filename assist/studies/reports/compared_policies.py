@@ -13,12 +13,12 @@ import numpy as np
 from planner.system.errors import expected
 from planner.system.results import Result, html_table
 
-from ...learning import statistics
-from ...learning.statistics import IntervalEstimate
+from ...learning.intervals import IntervalEstimate
 from ...people.decision import Floats
 from ...person.policy import not_worth_its_cost
 from ...team.episode import SHOWN
 from ...team.episodes import Episodes, Summary
+from .. import statistics
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -23,7 +23,7 @@ from ..userstudy.session import JOURNAL
 from ..userstudy.tables import Tables
 
 ANALYSIS = (
-    "learning/statistics.py", "learning/repeated_measures.py",
+    "learning/intervals.py", "studies/statistics.py", "studies/repeated_measures.py",
     *(f"studies/userstudy/{name}.py" for name in ("plan", "questionnaires", "outcomes", "tables", "csv_tables")),
     *(f"studies/reports/userstudy_{name}.py" for name in ("data", "comparisons", "summary")),
 )  # fmt: skip

@@ -19,11 +19,11 @@ from planner.system.workers import outcomes
 
 from ...declare.declared import plain, sentences
 from ...drawing.plots import style
-from ...learning.statistics import FEW
 from ...person.policy import not_worth_its_cost
 from ...team.policy_names import BASELINES
 from ..protocol import study_of
 from ..runner import load_study
+from ..statistics import FEW
 from ..study import OWN, Study, StudyPlan
 from . import report_files, study_claims
 from .report_files import FIGURES, html_page, rendered, write_files

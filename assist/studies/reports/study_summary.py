@@ -1,6 +1,6 @@
 """Numeric results of a study: means for each team size and policy, savings with intervals, and comparisons.
 
-Everything is computed over pools of people, not over their episodes; see `assist.learning.statistics`.
+Everything is computed over pools of people, not over their episodes; see `assist.studies.statistics`.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 
 from planner.system.files import finite
 
-from ...learning import statistics
-from ...learning.statistics import IntervalEstimate
+from ...learning.intervals import IntervalEstimate
 from ...person.settings import Setting
 from ...team.policy_names import BASELINES, WEIGHING
+from .. import statistics
 from ..study import SCHEMA, Study
 
 if TYPE_CHECKING:

@@ -13,21 +13,18 @@ import numpy as np
 
 from planner.system.files import finite
 
-from ...learning.repeated_measures import detectable_within, means_within, mixed_model, within_participants
-from ...learning.statistics import (
-    NONE,
-    IntervalEstimate,
+from ...learning.intervals import NONE, IntervalEstimate, holm, wilson
+from ..repeated_measures import detectable_within, means_within, mixed_model, within_participants
+from ..statistics import (
     RankTest,
     between_groups,
     detectable,
     fisher_p,
-    holm,
     mann_whitney,
     mean,
     newcombe,
     sign_test,
     signed_rank,
-    wilson,
 )
 from ..userstudy.outcomes import COMPLETION, COUNTED, Row
 from ..userstudy.questionnaires import GRID, LIKERT

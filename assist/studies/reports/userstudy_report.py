@@ -18,9 +18,9 @@ from planner.system.errors import InputFileError
 from ...declare.declared import NOTHING, is_declared, names_of, plain, shown
 from ...drawing.plots import style
 from ...drawing.plots import userstudy as draw
-from ...learning.statistics import FEW
 from ...live.store import stored
 from ...person.settings import Setting
+from ..statistics import FEW
 from ..userstudy.csv_tables import rows
 from ..userstudy.plan import UserStudy, UserStudyPlan
 from ..userstudy.plan_file import read

@@ -8,8 +8,8 @@ from typing import Any
 
 from planner.system.files import finite
 
-from ...learning.statistics import FEW, cronbach_alpha
 from ...team.policy_names import WEIGHING
+from ..statistics import FEW, cronbach_alpha
 from ..userstudy.outcomes import Row
 from ..userstudy.plan import UserStudy
 from ..userstudy.questionnaires import BEFORE, CHOICE, CHOICES, TEXT, Item, Questionnaire

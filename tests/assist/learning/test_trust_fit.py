@@ -15,16 +15,15 @@ from recorded import write_log
 
 from assist.declare import plain
 from assist.learning import Method, Observations
-from assist.learning.comparison import Comparison
+from assist.learning.comparison import Comparison, ratio
 from assist.learning.held_out import compare_rules
 from assist.learning.influence_population import InfluencePopulation
-from assist.learning.intervals import equal_tailed
+from assist.learning.intervals import equal_tailed, holm
 from assist.learning.likelihood_table import LikelihoodTable
 from assist.learning.population import trust_of
 from assist.learning.posterior_sample import PosteriorSample, posterior_covariance
 from assist.learning.rule_families import RuleFamily, families
 from assist.learning.rule_search import RuleSearch
-from assist.learning.statistics import holm, ratio
 from assist.learning.trust_fit import fit_influence
 from assist.people.choices import Choices
 from assist.people.trust_rules import (

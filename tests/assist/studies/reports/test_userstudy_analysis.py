@@ -21,23 +21,23 @@ from userstudies import PLAN, SCORES, written
 
 from assist.cli import main
 from assist.cli.user_study import _report
-from assist.learning.repeated_measures import means_within, mixed_model, within_participants
-from assist.learning.statistics import (
-    EXACT,
-    between_groups,
-    cronbach_alpha,
-    fisher_p,
-    holm,
-    mann_whitney,
-    newcombe,
-    sign_test,
-    signed_rank,
-)
+from assist.learning.intervals import holm
+from assist.studies.repeated_measures import means_within, mixed_model, within_participants
 from assist.studies.reports import userstudy_comparisons
 from assist.studies.reports.preregistration import REGISTERED
 from assist.studies.reports.userstudy_data import Measure, StudyData
 from assist.studies.reports.userstudy_report import of_folder, write_report
 from assist.studies.reports.userstudy_summary import summarise
+from assist.studies.statistics import (
+    EXACT,
+    between_groups,
+    cronbach_alpha,
+    fisher_p,
+    mann_whitney,
+    newcombe,
+    sign_test,
+    signed_rank,
+)
 from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.outcomes import OUTCOMES
 from assist.studies.userstudy.plan_file import read
@@ -588,9 +588,9 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(t
         in first_lines()
     )
     record = json.loads((data / REGISTERED).read_text())
-    record["analysis"]["learning/statistics.py"] = "0"
+    record["analysis"]["studies/statistics.py"] = "0"
     (data / REGISTERED).write_text(json.dumps(record | {"registered": "3000-01-01T00:00:00+00:00"}))
-    for part in ("registered after the first participant had arrived", "has changed (learning/statistics.py)"):
+    for part in ("registered after the first participant had arrived", "has changed (studies/statistics.py)"):
         assert part in first_lines()
     (data / REGISTERED).write_text("{}")
     refused = run("study-report", data)

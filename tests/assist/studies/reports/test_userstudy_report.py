@@ -27,9 +27,9 @@ from userstudies import PLAN, written
 
 from assist.cli import main
 from assist.declare import catalogue
-from assist.learning.repeated_measures import detectable_within, within_participants
-from assist.learning.statistics import between_groups, cronbach_alpha, detectable
+from assist.studies.repeated_measures import detectable_within, within_participants
 from assist.studies.reports import study_report, userstudy_report
+from assist.studies.statistics import between_groups, cronbach_alpha, detectable
 from assist.studies.userstudy.csv_tables import rows
 from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.export import REGISTERED

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from assist.learning import statistics
+from assist.studies import statistics
 from assist.studies.reports.wording import beside, sign
 
 

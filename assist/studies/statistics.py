@@ -15,11 +15,9 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from planner.system.files import finite
-
-Floats = NDArray[np.float64]
+from ..learning.intervals import NONE, IntervalEstimate, wilson
 
 RESAMPLES = 10_000  # of the bootstrap; the ends of intervals then vary by about 1 % of their width
 FEW = 10
@@ -29,47 +27,6 @@ With fewer pools the bootstrap undercovers: nominal 95 % intervals cover 52 % (2
 """
 EXACT = 200
 """Largest number of differences with an exact signed-rank test, which takes some milliseconds for so many."""
-
-
-@dataclass(frozen=True)
-class IntervalEstimate:
-    """An estimate with a confidence interval.
-
-    Attributes
-    ----------
-    value : float
-    low, high : float
-        Ends of the interval; NaN where the data determine none, such as that of a single pool.
-    """
-
-    value: float
-    low: float = math.nan
-    high: float = math.nan
-
-    def record(self) -> dict[str, float | None]:
-        """Return the fields as plain data, with None for NaN."""
-        return {"mean": finite(self.value), "low": finite(self.low), "high": finite(self.high)}
-
-    def within(self, least: float, most: float) -> IntervalEstimate:
-        """Return the estimate with its interval cut at the range of what is estimated.
-
-        Without variance there is no interval: that all values seen are equal does not show that the next one is.
-        """
-        if math.isclose(self.low, self.high, rel_tol=1e-9, abs_tol=1e-12):
-            return IntervalEstimate(self.value)
-        return IntervalEstimate(self.value, *(min(max(end, least), most) for end in (self.low, self.high)))
-
-    @classmethod
-    def of(cls, value: float, error: float, freedom: float, level: float) -> IntervalEstimate:
-        """Return Student's interval for a standard error."""
-        if not (math.isfinite(error) and freedom > 0):
-            return cls(value)
-        half = float(scipy.special.stdtrit(freedom, (1 + level) / 2)) * error
-        return cls(value, value - half, value + half)
-
-
-NONE = IntervalEstimate(math.nan)
-"""An estimate that the data do not determine."""
 
 
 @dataclass(frozen=True)
@@ -168,19 +125,6 @@ def effect(difference: ArrayLike) -> float:
     return float(x.mean()) / spread if spread > 0 else math.nan
 
 
-def ratio(sums: Floats, counts: Floats | NDArray[np.int64]) -> tuple[float, float]:
-    """Return the mean per choice and its standard error over people (ratio estimator, by the delta method).
-
-    Parameters
-    ----------
-    sums, counts : arrays, shape (K,)
-        Total of each person, and the number of their choices.
-    """
-    found, people = sums.sum() / counts.sum(), len(counts)
-    spread = ((sums - found * counts) ** 2).sum() * people / (people - 1)
-    return float(found), float(math.sqrt(spread) / counts.sum())
-
-
 # Two groups.
 
 
@@ -228,14 +172,6 @@ def standardised(d: float, freedom: float, scale: float, level: float = 0.95) ->
 def small(freedom: float) -> float:
     """Return Hedges' factor for small samples."""
     return 1 - 3 / (4 * freedom - 1)
-
-
-def wilson(successes: int, n: int, level: float = 0.95) -> IntervalEstimate:
-    """Return the share of successes with the interval of Wilson (1927); NaN without any members."""
-    if not n:
-        return NONE
-    ends = scipy.stats.binomtest(successes, n).proportion_ci(level, method="wilson")
-    return IntervalEstimate(successes / n, float(ends.low), float(ends.high))
 
 
 def newcombe(successes: int, n: int, other: int, m: int, level: float = 0.95) -> IntervalEstimate:
@@ -368,22 +304,7 @@ def sign_test(larger: int, smaller: int) -> RankTest:
     return RankTest(float(scipy.stats.binomtest(larger, n).pvalue), (larger - smaller) / n)
 
 
-# Several tests, and scales.
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return the p-values adjusted for their number (Holm, 1979), which bounds the family-wise error.
-
-    Parameters
-    ----------
-    p_values : sequence of float
-        Undefined ones (NaN) count as 1: the family is as large as it was planned.
-    """
-    given = np.asarray(p_values, dtype=float)
-    values = np.where(np.isnan(given), 1.0, given)
-    order, found = np.argsort(values, kind="stable"), np.empty(len(values))
-    found[order] = np.maximum.accumulate(np.minimum(1.0, values[order] * np.arange(len(values), 0, -1)))
-    return np.where(np.isnan(given), np.nan, found).tolist()
+# Scales.
 
 
 def cronbach_alpha(scores: ArrayLike) -> float:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
-from .statistics import Comparison, IntervalEstimate, detectable, standardised
+from ..learning.intervals import IntervalEstimate
+from .statistics import Comparison, detectable, standardised
 
 Floats = NDArray[np.floating[Any]]
 Values = Mapping[str, Mapping[str, float]]
