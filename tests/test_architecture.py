@@ -64,7 +64,7 @@ ROOMS = {
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
     "assist.drawing.plots": """shown_figure style labels panels_by_name episode belief watched people policies
         trade_off study userstudy""",
-    "assist.live": """continuations contrast explanation names live_task advice roster seen_suggestions
+    "assist.live": """continuations contrast explanation names live_setting live_task advice roster seen_suggestions
         uncertain_actions beliefs live_questions decision_point robot_places decisions knowledge desk views event_base
         events reports record assistant store people_store header history team session simulated_person
         trace_reasons""",

@@ -6,10 +6,10 @@ import click
 
 from ..declare.options import printed
 from .options.help import command
-from .options.settings import DrawSetting, EstimateSetting, GoalSetting, LiveSetting, PersonSetting, TeamSetting
+from .options.settings import DrawSetting, EstimateSetting, GoalSetting, PersonSetting, ServeSetting, TeamSetting
 
 OF_COMMANDS = {
-    "simulate": TeamSetting, "bound": TeamSetting, "serve": LiveSetting, "policy": PersonSetting,
+    "simulate": TeamSetting, "bound": TeamSetting, "serve": ServeSetting, "policy": PersonSetting,
     "export": PersonSetting, "fit": EstimateSetting, "compare": EstimateSetting, "infer": GoalSetting,
     "draw": DrawSetting,
 }  # fmt: skip

@@ -231,7 +231,7 @@ class Assistant(Reports, Desk):
             {
                 "format": FORMAT,
                 "policy": self.policy if isinstance(self.policy, str) else None,
-                "setting": plain(self.setting),
+                "setting": plain(Setting.of(self.setting)),
                 "population": plain(self.population),
                 "populations": {name: plain(prior) for name, prior in self.populations.items()},
                 "distance": None if self._given_distance is None else np.asarray(self._given_distance).tolist(),

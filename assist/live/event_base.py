@@ -126,6 +126,14 @@ class TeamEvent(Event):
     reversible: ClassVar[bool] = False
     """Whether all events of this kind can be taken back."""
 
+    @classmethod
+    def due(cls, desk: Desk) -> Iterator[tuple[float, Self]]:  # noqa: ARG003
+        """Yield the events of this kind that time alone will cause, each with when it does, in seconds.
+
+        They follow from the present state, which is asked again after each event, also after a restart.
+        """
+        yield from ()
+
     def recorded(self, desk: Desk) -> Self | None:  # noqa: ARG002
         """Return the event as it is recorded, after checking that it is possible; None if it changes nothing.
 

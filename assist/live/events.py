@@ -6,6 +6,7 @@ From these classes (`event_base`) follow records, saved teams, the HTTP interfac
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field
@@ -302,6 +303,11 @@ class Elapsed(TeamEvent):
     kind: Literal["elapsed"] = "elapsed"
     shows: ClassVar[Literal["person", "place", "robot"]] = "robot"
     is_shown: ClassVar[bool] = False
+
+    @classmethod
+    def due(cls, desk: Desk) -> Iterator[tuple[float, Self]]:
+        """Yield one after some time without an event."""
+        yield desk.time + desk.setting.tick, cls()
 
     def change(self, desk: Desk, time: float) -> None:
         """Let the robots decide again."""

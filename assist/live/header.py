@@ -22,6 +22,7 @@ from ..people.goals import Goals, first_of
 from ..people.memory import choices_of
 from ..people.ranges import Population
 from ..person.person_problem import WHOLE, is_whole
+from ..person.settings import Setting
 from .desk import Desk
 from .live_task import digest
 from .record import TeamRecord
@@ -35,7 +36,7 @@ def header_of(desk: Desk, tasks: Mapping[str, CostToGo | Goals], distance: Array
         "format": TeamRecord.format,
         "version": metadata.version("kitassist"),
         "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
-        "setting": plain(desk.setting),
+        "setting": plain(Setting.of(desk.setting)),
         "population": plain(desk.population),
         "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
         "tasks": {name: digest(task) for name, task in tasks.items()},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -50,6 +50,10 @@ class History(ABC, Generic[R]):
         Refusal
             The event is not possible. Nothing has changed.
         """
+
+    def due(self) -> Iterator[tuple[float, Event]]:
+        """Yield the events that time alone will cause from the present state, each with when it does, in seconds."""
+        yield from ()
 
     @abstractmethod
     def again(self, record: R) -> None:

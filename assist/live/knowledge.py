@@ -34,6 +34,7 @@ from .beliefs import (
     likeliest_cost_to_go,
 )  # fmt: skip
 from .decisions import Decisions
+from .live_setting import LiveSetting
 from .live_task import LiveTask
 from .robot_places import RobotPlaces
 from .roster import Roster, RosterEntry, Step, Told
@@ -77,6 +78,8 @@ class Knowledge:
     ----------
     paused : bool
         Whether the robots make no suggestions.
+    time : float
+        When something last happened, in seconds, or was tried to: time that passed without an effect, too.
     populations : dict of str to Population
         Priors of people who have others than the team's, by name.
     """
@@ -91,13 +94,14 @@ class Knowledge:
         distance: ArrayLike | None = None,
         people: int = 0,
     ) -> None:
-        self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
+        self.setting = LiveSetting.of(setting or LiveSetting()).for_real_people()
+        self.population = population or advice_takers()
         if self.setting.fleet.executes:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy
         if policy == "rollout":
             self.setting.require_all_seen("policy 'rollout'")
-        self.tasks, self.populations, self.paused = tasks, dict[str, Population](), False
+        self.tasks, self.populations, self.paused, self.time = tasks, dict[str, Population](), False, 0.0
         self._advice: tuple[Advice, ...] | None = None
         self._step = 0
         self._places = RobotPlaces(self.setting, people, distance)
@@ -112,7 +116,7 @@ class Knowledge:
         ValueError
             It is not possible. Nothing has changed.
         """
-        self.roster.event = number
+        self.roster.event, self.time = number, time
         self.roster.touched.clear()
         found = event.change(self, time)
         self._advice = None

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import re
 import threading
 import time
@@ -363,6 +364,13 @@ class Session(Reports):
         """Return what remains of the people whose records were erased."""
         with self.lock:
             return self._store.tombstones()
+
+    def due(self) -> tuple[list[Event], float]:
+        """Return the events that time has caused by now, and the seconds until it causes the next one."""
+        with self.lock:
+            now, every = self.now(), list(self.history.due())
+        later = min((at - now for at, _ in every if at > now), default=math.inf)
+        return [event for at, event in every if at <= now], later
 
     def now(self) -> float:
         """Return the seconds since the session began, without those in which it did not run."""

@@ -11,7 +11,7 @@ without computing a decision again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -98,6 +98,11 @@ class Team(History[TeamRecord]):
         )  # fmt: skip
         self._note(record, advices)
         return record
+
+    def due(self) -> Iterator[tuple[float, Event]]:
+        """Yield the events that time alone will cause, each with when it does."""
+        for kind in kinds(TeamEvent).values():
+            yield from kind.due(self.desk)
 
     def _decided(self) -> tuple[Advice, ...]:
         self.fault = None

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
-from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of, whole_number
+from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of, names_of, whole_number
 from ..people.neighbours import SeenRule, Watched, moves_theta, seen_rule_of
 from ..people.trust_rules import TrustRule, rule_given, trust_rule
 from .observation_model import ObservationModel
@@ -119,6 +119,11 @@ class Setting(OfRobots):
                 who = f"robot {m}: " * (self.robots[m - 1].execute is not None)
                 raise ValueError(f"{who}execute: expected actions that are all seen as they are")
 
+    @classmethod
+    def of(cls, other: Setting) -> Self:
+        """Return the setting of this class with all fields that another one has, too."""
+        return cls(**{name: getattr(other, name) for name in names_of(cls) if hasattr(other, name)})
+
     @cached_property
     def fleet(self) -> Fleet:
         """The robots with all of their values."""
@@ -140,7 +145,7 @@ class Setting(OfRobots):
         believed = self.trust if self.believed_trust is None else self.believed_trust
         return trust_rule(believed, self.eta, self.utility_scale)
 
-    def for_real_people(self) -> Setting:
+    def for_real_people(self) -> Self:
         """Return the setting with a constant theta, unless it has a trust rule already."""
         return replace(self, trust="constant") if self.trust is None else self
 

@@ -22,10 +22,11 @@ from starlette.types import ASGIApp
 from planner import CostToGo
 from planner.system.errors import InputFileError
 
-from ..declare.catalogue import Catalogue
+from ..declare.catalogue import catalogue
 from ..declare.refusals import InapplicableError, Refusal
 from ..live.event_base import TeamEvent
 from ..live.events import Acted, Answered, Elapsed, Joined
+from ..live.live_setting import LiveSetting
 from ..live.people_store import PeopleStore
 from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson
@@ -33,7 +34,6 @@ from ..live.store import JournalError
 from ..people.goals import Goals
 from ..people.ranges import Population
 from ..person.observation_model import ObservationModel
-from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from . import connections
 from .app import END_STREAMS, make_app
@@ -197,23 +197,14 @@ class ServedTeam:
         Initial people, with the names of their tasks. A resumed session has its own.
     policy : str or callable
         A team policy, as in `Assistant`.
-    setting : Setting
+    setting : LiveSetting
+        Beliefs in simulated people are not kept.
     population : Population
         The robot's prior over people, from which simulated people are drawn too.
     distance : array, optional
         Distances between the stations of people, in their order, and the base, as in `Assistant`.
     simulated : sequence of str
         Names of the people who are simulated.
-    pace, seed
-        As in `SimulatedSeats` and `SimulatedPerson`.
-    tick : float
-        Seconds without an event after which the robot decides again.
-    people_store : Path or None
-        File in which beliefs in people are kept for later sessions (`PeopleStore`); those in simulated people are not.
-    keep_people : float
-        Days after which they expire.
-    texts : Catalogue or None
-        Texts of people's pages; None: English.
     public_url : str or None
         Public address of the service, as `public_address` returns it, if it differs from where the service listens.
     trusted_proxies : sequence of networks
@@ -224,16 +215,10 @@ class ServedTeam:
     folder: Path
     people: Mapping[str, str]
     policy: str | TeamPolicy
-    setting: Setting
+    setting: LiveSetting
     population: Population
     distance: ArrayLike | None
     simulated: Sequence[str]
-    pace: float
-    seed: int
-    tick: float
-    people_store: Path | None = None
-    keep_people: float = 30.0
-    texts: Catalogue | None = None
     public_url: str | None = None
     trusted_proxies: Networks = ()
 
@@ -248,8 +233,9 @@ class ServedTeam:
             An invalid combination, such as a choice model and a task that is too large for it.
         """
         people = None
-        if self.people_store is not None:
-            people = PeopleStore(self.people_store, self.keep_people, except_for=self.simulated)
+        if self.setting.people_store is not None:
+            store = Path(self.setting.people_store)
+            people = PeopleStore(store, self.setting.keep_people, except_for=self.simulated)
         session = Session(
             self.tasks, self.folder / JOURNAL, policy=self.policy, setting=self.setting,
             population=self.population, distance=self.distance, people=people,
@@ -279,13 +265,12 @@ class ServedTeam:
 
     def seats(self) -> SimulatedSeats:
         """Draw the simulated people."""
+        rules: Any = {"trust": self.setting.trust_rule(), "sees": self.setting.seen_rule()}
         people = {
-            name: SimulatedPerson(
-                self.population, trust=self.setting.trust_rule(), seed=self.seed + number, sees=self.setting.seen_rule()
-            )
+            name: SimulatedPerson(self.population, seed=self.setting.seed + number, **rules)
             for number, name in enumerate(self.simulated)
         }
-        return SimulatedSeats(people, self.pace, self.setting.observation)
+        return SimulatedSeats(people, self.setting.pace, self.setting.observation)
 
 
 Ready = Callable[[AccessTokens, tuple[str, ...]], None]
@@ -322,7 +307,7 @@ async def _serve(
     changed_settings: Callable[[], ReadAgain] | None,
 ) -> None:  # fmt: skip
     access = AccessTokens.kept(plan.folder / "secret", plan.public_url or address(listening))
-    service = Service(session, access, tick=plan.tick, texts=plan.texts)
+    service = Service(session, access, texts=catalogue(plan.setting.language))
     service.simulated = frozenset(plan.simulated)
     app = make_app(service, trusted_proxies=plan.trusted_proxies)
     bridge = None if beside is None else beside(f"{_local(listening)}/operator#{access.operator}")

@@ -25,7 +25,6 @@ from typing import Any, ClassVar, Protocol
 from ..declare.catalogue import Catalogue, catalogue
 from ..declare.refusals import AbsentError, InapplicableError, Refusal
 from ..live.event_base import Event, TeamEvent
-from ..live.events import Elapsed
 from ..live.explanation import Explanation
 from ..live.history import Outlook
 from ..live.session import Outcome, Session
@@ -100,8 +99,6 @@ class Service:
     ----------
     session : Session
     access : AccessTokens
-    tick : float
-        Seconds without an event after which the robot decides again.
     connections : int
         Largest number of open connections for one person's view, such as those of several tabs.
     texts : Catalogue
@@ -127,13 +124,13 @@ class Service:
     shown: ClassVar[Mapping[str, type[Any]]] = {"person": PersonView, "place": Place, "robot": RobotView}
 
     def __init__(
-        self, session: Session, access: AccessTokens, *, tick: float = 2.0, connections: int = 64,
-        texts: Catalogue | None = None, ping: float = 15.0, check: float = 1.0,
+        self, session: Session, access: AccessTokens, *, connections: int = 64, texts: Catalogue | None = None,
+        ping: float = 15.0, check: float = 1.0,
     ) -> None:  # fmt: skip
         self.texts = catalogue() if texts is None else texts
         self.ping, self._every = ping, check
         self._most_connections = connections
-        self.session, self.access, self.tick = session, access, tick
+        self.session, self.access = session, access
         session.changed = self._seen
         self._suggested: dict[str, tuple[Any, int]] = {}  # a suggestion, and the `seq` of the first view with it
         self.views = {person: self._view(person) for person in self.session.people}
@@ -152,7 +149,6 @@ class Service:
         self._reports: queue.Queue[tuple[Event | Erasure, asyncio.Future[Outcome]] | None] = queue.Queue(WAITING)
         self._changes: dict[str, bytes | None] = {}
         self._writer: threading.Thread | None = None
-        self._last = 0.0
 
     # Writing.
 
@@ -161,7 +157,7 @@ class Service:
         self._loop = asyncio.get_running_loop()
         self._writer = threading.Thread(target=self._write, name="writer", daemon=True)
         self._writer.start()
-        self._ticking = self._loop.create_task(self._tick())
+        self._ticking = self._loop.create_task(self._keep_time())
         self._checking = self._loop.create_task(self._check())
 
     def end_streams(self) -> None:
@@ -235,8 +231,6 @@ class Service:
         self, futures: list[asyncio.Future[Outcome]], outcomes: list[Outcome], changes: dict[str, bytes | None],
         outlook: Outlook,
     ) -> None:  # fmt: skip
-        if outlook.events != self.outlook.events:
-            self._last = self._loop.time()
         if outlook.fault not in (None, self.outlook.fault):
             logging.getLogger(__name__).warning("the policy: %s", outlook.fault)
         before, self.outlook = self.outlook, outlook
@@ -333,23 +327,25 @@ class Service:
             logging.getLogger(__name__).warning("a restart is needed for what else has changed: %s", changed)
         return found
 
-    async def pass_on(self, event: Event) -> None:
-        """Record an event that the clock causes. It is dropped if it is not possible now, or cannot be saved now."""
-        try:
-            await self.report(event)
-        except (Refusal, JournalError):
-            pass  # the state changed, or the queue or the disk is full, which clients that act are told
-        except Exception:
-            logging.getLogger(__name__).exception("%s: the event of the clock failed", event.kind)
-
-    async def _tick(self) -> None:
-        """Report the passing of time whenever no event has occurred for `tick` seconds."""
-        self._last = self._loop.time()
+    async def _keep_time(self) -> None:
+        """Report what time causes. What cannot be saved now is tried again, if it is still due then."""
+        pause = 0.0
         while True:
-            await asyncio.sleep(max(0.01, self._last + self.tick - self._loop.time()))
-            if self._loop.time() >= self._last + self.tick:
-                self._last = self._loop.time()
-                await self.pass_on(Elapsed())
+            await asyncio.sleep(min(self._every, max(0.01, pause)))
+            events, later = await asyncio.to_thread(self.due)
+            pause = 0.0 if events else later
+            for event in events:
+                try:
+                    await self.report(event)
+                except (Refusal, JournalError):  # the state changed, or the queue or the disk is full
+                    pause = self._every
+                except Exception:
+                    logging.getLogger(__name__).exception("%s: the event of the clock failed", event.kind)
+                    pause = self._every
+
+    def due(self) -> tuple[list[Event], float]:
+        """Return the events that time has caused by now, and the seconds until it causes the next one."""
+        return self.session.due()
 
     def problems(self) -> list[str]:
         """Return everything that keeps events from being stored or delivered, for the operator."""

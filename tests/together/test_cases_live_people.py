@@ -21,6 +21,7 @@ from assist.connect.bridges.ordering import FAR, InOrder
 from assist.declare import Refusal
 from assist.live import Assistant, Session
 from assist.live.events import Acted, Elapsed
+from assist.live.live_setting import LiveSetting
 from assist.live.names import is_name, name_of
 from assist.live.store import JournalError
 from assist.people.action_names import in_pddl
@@ -208,8 +209,8 @@ def test_a_session_goes_on_with_as_many_people_as_it_began_with(tiny: Table, tmp
 
     def served(humans: int) -> Session:
         people = {f"person-{number}": "tiny" for number in range(1, humans + 1)}
-        options: Any = {"policy": "attention", "setting": Setting(), "population": EASY, "distance": None}
-        options |= {"simulated": (), "pace": 3.0, "seed": 0, "tick": 2.0}
+        options: Any = {"policy": "attention", "setting": LiveSetting(), "population": EASY, "distance": None}
+        options |= {"simulated": ()}
         team = ServedTeam({"tiny": tiny}, tmp_path, people, **options)
         return team.session()
 

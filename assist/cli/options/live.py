@@ -16,12 +16,13 @@ from planner.system.errors import InputFileError, expected
 
 from ...declare.catalogue import catalogue
 from ...declare.options import Given, setting_options
+from ...live.live_setting import LiveSetting
 from .common import data_option, domain_option, humans_option, together
 from .config import ENVIRONMENT, read_config
 from .goals import check_questions, goals_option, several_goals
 from .policies import policies_of, policy_option
 from .population import RATES, chosen_setting
-from .settings import LiveSetting
+from .settings import ServeSetting
 from .task import costs_of
 from .travel import travel_of
 
@@ -45,8 +46,8 @@ class LiveOptions(NamedTuple):
     policy: str
     problems: tuple[str, ...]
     domain: str | None
-    setting: LiveSetting
-    given: Given[LiveSetting]
+    setting: ServeSetting
+    given: Given[ServeSetting]
 
 
 live_options = together(
@@ -62,7 +63,7 @@ live_options = together(
         policy_option(several=False),
         goals_option,
         domain_option,
-        setting_options(LiveSetting, without=("trust", "population"), environment=ENVIRONMENT),
+        setting_options(ServeSetting, without=("trust", "population"), environment=ENVIRONMENT),
     ),
 )  # fmt: skip
 
@@ -85,13 +86,13 @@ def plan_of(team: LiveOptions) -> ServedTeam:
     check_questions(setting, given, problems, doubtful=doubtful)
     given.refuse(["knowledge", "max_steps"], "on a live team")
     (chosen_policy,) = policies_of((team.policy,)).values()
-    chosen = chosen_setting(setting, given, rate=False)
+    chosen = chosen_setting(LiveSetting, setting, given, rate=False)
     if chosen.trust != "paper":  # influence on real people is constant unless a rule is given
         given.refuse(RATES, 'without trust = "paper"')
     if chosen.fleet.executes:
         raise click.UsageError("execute: expected a robot that suggests; one that acts itself can only be simulated")
     try:
-        texts = catalogue(setting.language)
+        catalogue(setting.language)  # reports faults in it before a page is served
         distance = None if setting.distances is None else travel_of(chosen, humans, setting.distances).distance
         found = _named(find_instances(team.instances, team.domain))
         if problems and len(found) > 1:
@@ -122,9 +123,7 @@ def plan_of(team: LiveOptions) -> ServedTeam:
     in_turn |= chosen_tasks
     return ServedTeam(
         tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen_policy, setting=chosen,
-        population=setting.population, distance=distance, simulated=simulated, pace=setting.pace, seed=setting.seed,
-        tick=setting.tick, people_store=None if setting.people_store is None else Path(setting.people_store),
-        keep_people=setting.keep_people, texts=texts,
+        population=setting.population, distance=distance, simulated=simulated,
     )  # fmt: skip
 
 
@@ -148,7 +147,7 @@ def changed_settings(
     def read() -> ReadAgain:
         try:
             settings = read_config(config, command.params)
-            again = Given(LiveSetting)
+            again = Given(ServeSetting)
             again.file(config, settings.get("setting", {}), "setting")
             now = again.read().distances
             file = before if fixed or now is None else Path(now)

@@ -12,6 +12,7 @@ from planner import Instance
 from planner.system.progress import progress_bar
 
 from ...declare.options import Given, setting_options
+from ...person.settings import Setting
 from .common import domain_option, instance_argument, seed_option, together
 from .population import chosen_setting
 from .settings import PersonSetting
@@ -70,7 +71,7 @@ def person_problem(
     if not setting.execute:
         given.refuse(["c_execute"], "without execute")
     found = one_instance(person.instance, person.domain)
-    chosen = chosen_setting(setting, given, rate=True)
+    chosen = chosen_setting(Setting, setting, given, rate=True)
     known = known_of(found)
     if states is None:
         states = len(known)

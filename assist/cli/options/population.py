@@ -4,25 +4,27 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from ...declare.options import Given
 from ...people import user_code
+from ...person.settings import Setting
 from ..terminal.console import ExitCode, fail
-from .settings import record_of, setting_of
+from .settings import record_of
 
 if TYPE_CHECKING:
     from ...people.choice_model import ChoiceModel
-    from ...person.settings import Setting
+
+S = TypeVar("S", bound=Setting)
 
 RATES = ("eta", "utility_scale")
 """Fields of a setting for equation 7 alone."""
 
 
-def chosen_setting(setting: Setting, given: Given[Any], *, rate: bool) -> Setting:
-    """Return the `Setting` of a command's setting, with the trust rule of a population file if it has one.
+def chosen_setting(kind: type[S], setting: Setting, given: Given[Any], *, rate: bool) -> S:
+    """Return the fields of a class from a command's setting, with the trust rule of a population file if it has one.
 
     With `rate`, a file without a rule gives the rate of equation 7 that was estimated, unless it is set. That is for
     simulated people, as theta of real people stays unless a rule is given.
@@ -32,7 +34,7 @@ def chosen_setting(setting: Setting, given: Given[Any], *, rate: bool) -> Settin
     click.UsageError
         The file has a trust rule, and so has the setting; or a rate is set that the trust rule does not have.
     """
-    chosen = setting_of(setting)
+    chosen = kind.of(setting)
     file = given.values.get("population")
     if chosen.trust not in (None, "paper"):
         given.refuse(RATES, f"with trust {given.values['trust']!r}")

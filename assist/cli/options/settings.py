@@ -11,22 +11,20 @@ from pydantic import BeforeValidator, Field
 
 from planner.batch.results_folder import SolveOptions
 
-from ...declare.catalogue import FIRST
 from ...declare.declared import (
     Beside,
     Count,
     Expected,
     Number,
     Range,
-    Seed,
     Text,
     Truth,
     Usual,
     Whole,
     declared,
-    names_of,
 )
 from ...learning.method import Method
+from ...live.live_setting import LiveSetting
 from ...people.neighbours import Watched
 from ...people.ranges import Population
 from ...people.real_people import advice_takers
@@ -72,11 +70,6 @@ Distances = Annotated[
         "lists); all are 1 unless given."
     ),
 ]
-
-
-def _texts_beside(folder: Path, text: str) -> str:
-    """Return a file of texts with a path from a folder; a language unchanged."""
-    return str(folder / text) if text.endswith(".toml") else text
 
 
 def record_of(file: Path) -> dict[str, Any]:
@@ -174,17 +167,11 @@ class TeamSetting(TaskSetting):
 
 
 @declared
-class LiveSetting(Setting):
-    """The setting of a live team."""
+class ServeSetting(LiveSetting):
+    """The setting of the command that serves a live session."""
 
     goal_prior: Prior = field(default_factory=dict, hash=False)
     distances: Distances = None
-    language: Annotated[
-        Text,
-        Beside(_texts_beside),
-        Expected("en, de, or a file such as fr.toml"),
-        Field(description="Language of people's pages."),
-    ] = FIRST
     population: Annotated[
         Population,
         BeforeValidator(_real),
@@ -193,22 +180,6 @@ class LiveSetting(Setting):
         Expected(FILE),
         Field(description=PEOPLE + " Influence is as wide as that of real people unless given."),
     ] = advice_takers()
-    seed: Annotated[Seed, Field(description="Random seed of simulated people.")] = 0
-    pace: Annotated[Number, Field(gt=0, le=1e9, description="Mean seconds between actions of simulated people.")] = 3.0
-    tick: Annotated[
-        Number, Field(gt=0, le=1e9, description="Seconds without an event after which the robot decides again.")
-    ] = 2.0
-    people_store: Annotated[
-        Text | None,
-        Beside(),
-        Expected("a file"),
-        Field(
-            description="File with what earlier sessions have learned about people of the same names; it is kept there."
-        ),
-    ] = None
-    keep_people: Annotated[
-        Number, Field(gt=0, le=36_500, description="Days after which the store forgets a person.")
-    ] = 30.0
 
 
 @declared
@@ -276,8 +247,3 @@ class GoalSetting(ReadingSetting):
     ] = Population().beta
     lapse: Annotated[Number, Field(ge=0, lt=1, description="Weight of a uniform choice.")] = 1e-3
     goal_prior: Prior = field(default_factory=dict, hash=False)
-
-
-def setting_of(setting: Setting) -> Setting:
-    """Return the fields of a command's setting that are those of `Setting`."""
-    return Setting(**{name: getattr(setting, name) for name in names_of(Setting)})

@@ -9,6 +9,7 @@ import click
 from planner import Instance, LimitError
 
 from ...declare.options import Given, setting_options
+from ...person.settings import Setting
 from ..terminal.console import ExitCode, fail
 from .common import domain_option, humans_option, instance_argument, seed_option, together
 from .goals import goals_option, several_goals
@@ -85,7 +86,7 @@ def team_of(team: TeamOptions, size: int, goals: Goals | None = None) -> TeamSet
     if team.humans > size:
         raise click.UsageError(f"--humans {team.humans} is more than --pool {size}")
     found = one_instance(team.instance, team.domain)
-    chosen = chosen_setting(setting, team.given, rate=True)
+    chosen = chosen_setting(Setting, setting, team.given, rate=True)
     if not chosen.fleet.executes:
         team.given.refuse(["c_execute"], "without execute")
     known = goals or costs_of(found, max_states=setting.max_states, memory_limit_mb=None)

@@ -61,8 +61,8 @@ class StudyService(Service):
         Whether robots decide again while participants are idle.
     rehearsal : bool
         Whether simulated participants are admitted.
-    look_every : float
-        Seconds between two checks for idle and absent participants. The study's own limits are minutes.
+    check : float
+        As in `Service`; also the seconds between two looks for idle and absent participants.
     connections : int
         Largest number of open connections for one participant's view.
     ping : float
@@ -74,16 +74,13 @@ class StudyService(Service):
 
     def __init__(
         self, session: StudySession, access: AccessTokens, *, ticks: bool = True, rehearsal: bool = False,
-        look_every: float = 1.0, connections: int = 64, ping: float = 15.0,
+        check: float = 1.0, connections: int = 64, ping: float = 15.0,
     ) -> None:  # fmt: skip
-        # The tick is effectively never: each team has a clock of its own.
         super().__init__(
-            session, access, tick=1e7, connections=connections, texts=session.study.catalogue, ping=ping,
-            check=look_every,
+            session, access, connections=connections, texts=session.study.catalogue, ping=ping, check=check
         )  # fmt: skip
         self.study, self.folder, self.ticks, self.rehearsal = session.study, session.folder, ticks, rehearsal
         self._held: StudySession = session
-        self._look_every = look_every
         self.guesses = Allowance(rate=1 / 30, burst=20)  # withdrawal codes that each network address may try
         self.arrivals = Allowance(rate=0.1, burst=300)  # new participants of each address, such as a waiting room
         self.often = Allowance(rate=1.0, burst=1000)  # what each participant does, all of which is saved
@@ -92,16 +89,6 @@ class StudyService(Service):
         self._heard: dict[str, float] = {}  # when a participant who is not connected was last heard of
         access.token(VISITOR)
         self._codes_key = secret_in(self.folder / CODES_KEY)
-
-    def start(self) -> None:
-        """Start the service in the running event loop."""
-        super().start()
-        self._looking = self._loop.create_task(self._look())
-
-    async def stop(self) -> None:
-        """Stop the service."""
-        self._looking.cancel()
-        await super().stop()
 
     # Arrivals and departures.
 
@@ -267,12 +254,9 @@ class StudyService(Service):
         """Whether a page of the participant is connected."""
         return person in self._watchers
 
-    async def _look(self) -> None:
-        """Report departures, expired time limits and ticks at regular intervals."""
-        while True:
-            await asyncio.sleep(self._look_every)
-            for event in await asyncio.to_thread(self._held.see, self._due):
-                await self.pass_on(event)
+    def due(self) -> tuple[list[Event], float]:
+        """Return departures, expired time limits and ticks that are due, and when to look again."""
+        return self._held.see(self._due), self._every
 
     def _due(self, cohort: Cohort) -> list[StudyEvent]:
         now, session_now, study = self._loop.time(), self.session.now(), self.study

@@ -12,6 +12,7 @@ import pytest
 from conftest import KITTING, ROOT, invoke
 
 from assist.live.events import Paused
+from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
@@ -20,7 +21,6 @@ from assist.people.memory import choices_of
 from assist.people.ranges import Population
 from assist.people.user_code import UserChoiceModel, _loaded
 from assist.people.weighted_choice import Weighted
-from assist.person.settings import Setting
 from assist.web import server
 from planner import Table
 
@@ -172,7 +172,7 @@ def test_people_are_drawn_from_a_file(begun: Begun, tmp_path: Path) -> None:
 def test_the_printed_setting_of_serve_is_accepted_unedited(begun: Begun, tmp_path: Path) -> None:
     (file := tmp_path / "all.toml").write_text(invoke("settings", "serve").stdout)
     begun(TINY, "--humans", 2, "--setting", file)
-    assert begun.plan.setting == Setting()
+    assert begun.plan.setting == LiveSetting()
     file.write_text(file.read_text().replace("pace = 3.0", "pace = 4.0").replace("max_steps = 500", "max_steps = 5"))
     line = 1 + file.read_text().splitlines().index("pace = 4.0")
     result = invoke("serve", TINY, "--humans", 2, "--port", 0, "--setting", file)
@@ -216,8 +216,8 @@ def test_options_that_need_another_one_are_accepted_with_it(begun: Begun, tmp_pa
     kept = ("--set", f"people_store={tmp_path / 'people.sqlite'}", "--set", "keep_people=7")
     options = ("--simulate", 1, "--set", "population.sigma=[0.2, 0.4]", "--set", "pace=1", "--set", "seed=5")
     begun(TINY, "--humans", 2, *options, *rule, *kept)
-    plan = begun.plan
-    assert (plan.setting.eta, plan.setting.utility_scale, plan.pace, plan.seed, plan.keep_people) == (0.3, 2, 1, 5, 7)
+    setting = begun.plan.setting
+    assert (setting.eta, setting.utility_scale, setting.pace, setting.seed, setting.keep_people) == (0.3, 2, 1, 5, 7)
 
 
 def test_a_choice_model_needs_all_states(begun: Begun) -> None:
@@ -284,8 +284,8 @@ def test_the_service_says_which_seats_are_simulated(begun: Begun, tmp_path: Path
     from assist.web.service import Service
     from assist.web.tokens import AccessTokens
 
-    session = begun(TINY, PAPER, "--humans", 2, "--simulate", 1)
-    service = Service(session, AccessTokens.kept(tmp_path / "secret", "http://testserver"), tick=60.0)
+    session = begun(TINY, PAPER, "--humans", 2, "--simulate", 1, "--set", "tick=60")
+    service = Service(session, AccessTokens.kept(tmp_path / "secret", "http://testserver"))
     service.simulated = frozenset(begun.plan.simulated)
     headers = {"Authorization": f"Bearer {service.access.operator}"}
     with TestClient(make_app(service)) as client:

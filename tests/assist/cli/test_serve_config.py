@@ -22,7 +22,7 @@ from test_live_web import Web
 from assist.cli import main
 from assist.cli.options import task
 from assist.cli.options.config import read_config
-from assist.cli.options.settings import LiveSetting
+from assist.cli.options.settings import ServeSetting
 from assist.cli.serve import serve
 from assist.declare.declared import names_of
 from assist.declare.options import FieldOption, Given, printed
@@ -54,15 +54,15 @@ def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
             whole, share = isinstance(one.type, click.IntRange), isinstance(one.type, click.FloatRange)
             value = "1" if whole else "0.25" if share else '"text"'
         lines.append(f"{one.opts[0][2:].replace('-', '_')} = {value}")
-    lines += ["[setting]", printed(LiveSetting).replace("[population]", "[setting.population]")]
+    lines += ["[setting]", printed(ServeSetting).replace("[population]", "[setting.population]")]
     file.write_text("\n".join(lines))
     found = read_config(file, serve.params)
     assert set(found) == {one.name for one in options} | {"setting"}
     assert (found["humans"], found["data"]) == (3, str(tmp_path / "text"))
-    given = Given(LiveSetting)
+    given = Given(ServeSetting)
     given.file(file, found["setting"], "setting")
-    assert given.read() == LiveSetting()
-    assert set(found["setting"]) <= set(names_of(LiveSetting))
+    assert given.read() == ServeSetting()
+    assert set(found["setting"]) <= set(names_of(ServeSetting))
 
 
 def test_the_file_in_the_documentation_is_read(tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_the_file_in_the_documentation_is_read(tmp_path: Path) -> None:
     shutil.copy(TINY, tmp_path / "paper.pddl")
     found = read_config(file, serve.params)
     assert (found["instances"], found["humans"]) == ((str(tmp_path / "paper.pddl"),), 3)
-    given = Given(LiveSetting)
+    given = Given(ServeSetting)
     given.file(file, found["setting"], "setting")
     assert (len(given.read().robots), given.read().tick) == (2, 5.0)
 
@@ -97,7 +97,7 @@ distances = "far.json"
         "host": "line",
         "setting": {"language": "xx.toml", "distances": "far.json"},
     }
-    given = Given(LiveSetting)
+    given = Given(ServeSetting)
     given.file(file, read_config(file, serve.params)["setting"], "setting")
     assert (given.read().language, given.read().distances) == (str(folder / "xx.toml"), str(folder / "far.json"))
     file.write_text('policy = "attention"\n[setting]\nlanguage = "de"')

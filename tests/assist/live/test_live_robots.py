@@ -18,6 +18,7 @@ from assist.declare.declared import plain
 from assist.live.assistant import Assistant
 from assist.live.event_base import TeamEvent
 from assist.live.events import Acted, Arrived, Elapsed, Joined, Paused, kinds
+from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
 from assist.people.ranges import Population
 from assist.person.robots import Robot
@@ -220,7 +221,7 @@ def test_a_session_of_two_robots_is_restored(
 
 @pytest.mark.parametrize("robots", [1, 2])
 def test_the_service_has_an_address_for_each_robot(tiny: Table, tmp_path: Path, robots: int) -> None:
-    setting = Setting(c_suggest=0.02, c_move=0.01, trust="paper", robots=robots)
+    setting = LiveSetting(c_suggest=0.02, c_move=0.01, trust="paper", robots=robots, tick=60.0)
     session = Session({"tiny": tiny}, tmp_path / "journal.sqlite", setting=setting, population=Population())
     session.report_all([Joined(person=name) for name in ("ann", "bob")])
     access = AccessTokens.kept(tmp_path / "secret", "http://testserver")
@@ -228,7 +229,7 @@ def test_the_service_has_an_address_for_each_robot(tiny: Table, tmp_path: Path, 
     def ask(method: str, path: str, **more: Any) -> Any:
         return client.request(method, path, headers={"Authorization": f"Bearer {access.operator}"}, **more)
 
-    with TestClient(make_app(Service(session, access, tick=60.0)), raise_server_exceptions=False) as client:
+    with TestClient(make_app(Service(session, access)), raise_server_exceptions=False) as client:
         for name in ("ann", "bob"):
             for action in ("(fetch box-a)", WRONG):
                 assert ask("POST", f"/api/people/{name}/actions", json={"action": action}).status_code == 200

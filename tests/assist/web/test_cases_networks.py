@@ -18,8 +18,8 @@ from networks import NGINX, Wire, free_port, proxy, running
 from test_live_pages import CHROMIUM, chromium, violations
 
 from assist.live.events import Joined
+from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
-from assist.person.settings import Setting
 from assist.web.app import make_app
 from assist.web.client import Client
 from assist.web.server import listen
@@ -42,12 +42,14 @@ class Line:
 
     def __init__(self, table: Table, folder: Path, chromium: Any, base: str, ping: float = PING) -> None:
         self.session = Session(
-            {"tiny": table}, folder / "journal.sqlite", setting=Setting(suggestions="all", c_suggest=0.02)
+            {"tiny": table},
+            folder / "journal.sqlite",
+            setting=LiveSetting(suggestions="all", c_suggest=0.02, tick=60.0),
         )
         if not self.session.people:
             self.session.report_all([Joined(person=name) for name in ("ann", "bob")])
         self.access = AccessTokens.kept(folder / "secret", base)
-        self.service = Service(self.session, self.access, tick=60.0, ping=ping, check=0.1)
+        self.service = Service(self.session, self.access, ping=ping, check=0.1)
         self.app = make_app(self.service)
         self.context = chromium.new_context(ignore_https_errors=True)
         self.faults: list[str] = []

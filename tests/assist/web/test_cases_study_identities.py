@@ -136,7 +136,7 @@ def test_a_browser_has_one_place_at_a_time(tiny: Table, tmp_path: Path) -> None:
 
 def test_places_that_nobody_uses_are_free_again(tiny: Table, tmp_path: Path) -> None:
     """Places of joins without a page, and of tabs that are open but were left alone; not those of a task."""
-    web = Web(tiny, tmp_path, FEW.replace("away = 10", "away = 0.03"), look_every=0.05)
+    web = Web(tiny, tmp_path, FEW.replace("away = 10", "away = 0.03"), check=0.05)
     with web.client:
         assert [web.come(f"flood {number}").status_code for number in range(5)] == [200] * 3 + [409] * 2
         until = time.monotonic() + 20

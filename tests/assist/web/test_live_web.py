@@ -19,10 +19,10 @@ from streams import EndedError, Stream, opened
 
 from assist.live.event_base import Event, TeamEvent
 from assist.live.events import Acted, Joined, Left, kinds
+from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
 from assist.live.store import JournalError
 from assist.people.ranges import Population
-from assist.person.settings import Setting
 from assist.studies.userstudy.events import StudyEvent
 from assist.web import server
 from assist.web.app import make_app
@@ -45,13 +45,13 @@ class Web:
     """An application in this process, and its links."""
 
     def __init__(self, table: Table, folder: Path, *, ping: float = 15.0, check: float = 1.0, **more: Any) -> None:
-        setting = Setting(c_suggest=0.02, c_move=0.01, trust="paper")
+        setting = LiveSetting(c_suggest=0.02, c_move=0.01, trust="paper", tick=60.0)
         session = Session({"tiny": table}, folder / "journal.sqlite", setting=setting, population=Population())
         if not session.people:
             session.report_all([Joined(person=name) for name in ("ann", "bob")])
         self.folder = folder
         self.access = AccessTokens.kept(folder / "secret", "http://testserver")
-        self.service = Service(session, self.access, tick=60.0, ping=ping, check=check)
+        self.service = Service(session, self.access, ping=ping, check=check)
         self.app = make_app(self.service, **more)
         self.client = TestClient(self.app, raise_server_exceptions=False)
 

@@ -23,8 +23,8 @@ from userstudies import PLAN, written
 
 from assist.declare.refusals import Refusal
 from assist.live.events import Joined
+from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
-from assist.person.settings import Setting
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import StudySession
 from assist.web.app import make_app
@@ -58,9 +58,11 @@ class Proxy:
 
 
 def team(table: Table, folder: Path, base: str) -> Service:
-    session = Session({"tiny": table}, folder / "journal.sqlite", setting=Setting(c_suggest=0.02, c_move=0.01))
+    session = Session(
+        {"tiny": table}, folder / "journal.sqlite", setting=LiveSetting(c_suggest=0.02, c_move=0.01, tick=60.0)
+    )
     session.report_all([Joined(person=name) for name in ("ann", "bob")])
-    return Service(session, AccessTokens.kept(folder / "secret", base), tick=60.0)
+    return Service(session, AccessTokens.kept(folder / "secret", base))
 
 
 def study(table: Table, folder: Path, base: str) -> StudyService:

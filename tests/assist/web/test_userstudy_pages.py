@@ -244,7 +244,7 @@ def test_whoever_conducts_a_study_sees_which_orders_are_drawn(tiny: Table, tmp_p
 
 def test_who_is_not_connected_for_long_is_gone_and_may_come_back(tiny: Table, tmp_path: Path) -> None:
     plan = PLAN.replace("away = 10", "away = 0.01").replace("seed = 3", "seed = 3\nparticipants = 1")
-    web = Web(tiny, tmp_path, plan, look_every=0.02)
+    web = Web(tiny, tmp_path, plan, check=0.02)
     with web.client:
         ann = web.come("ann").json()["person"]
         path = f"/api/people/{ann}"
@@ -275,7 +275,7 @@ class Later:
 
 
 def test_who_works_where_no_connection_can_be_kept_is_present(tiny: Table, tmp_path: Path) -> None:
-    web = Web(tiny, tmp_path, look_every=1e6)  # `away` is ten minutes
+    web = Web(tiny, tmp_path, check=1e6)  # `away` is ten minutes
     with web.client:
         clock: Any = Later(web.service._loop)
         web.service._loop = clock

@@ -39,7 +39,7 @@ from assist.connect.bridges.ordering import Acknowledgements, InOrder
 from assist.connect.bridges.ros2_settings import Ros2Settings
 from assist.declare.refusals import Refusal
 from assist.live import Joined, Left, Session
-from assist.person.settings import Setting
+from assist.live.live_setting import LiveSetting
 from assist.web.app import make_app
 from assist.web.server import listen, run
 from assist.web.service import Service
@@ -142,13 +142,13 @@ def broker() -> Iterator[Broker]:
 class Here:
     """A service in this process, with a bridge beside it."""
 
-    def __init__(self, folder: Path, people: list[str], setting: Setting | None = None) -> None:
+    def __init__(self, folder: Path, people: list[str], setting: LiveSetting | None = None) -> None:
         folder.mkdir(exist_ok=True)
-        setting = setting or Setting(c_suggest=0.1)
+        # No decisions by the clock: what a session does then follows from its events alone.
+        setting = setting or LiveSetting(c_suggest=0.1, tick=3600.0)
         self.session = Session({"tiny": kit("tiny")}, folder / "journal.sqlite", setting=setting)
         self.session.report_all([Joined(person=name) for name in people])
-        # No decisions by the clock: what a session does then follows from its events alone.
-        self.service = Service(self.session, AccessTokens.kept(folder / "secret", "http://testserver"), tick=3600.0)
+        self.service = Service(self.session, AccessTokens.kept(folder / "secret", "http://testserver"))
         self.app = make_app(self.service)
         self.headers = {"Authorization": f"Bearer {self.service.access.operator}"}
 
@@ -450,7 +450,7 @@ def test_two_robots_have_a_topic_each(
     [arrived]
     topic = "robot/{robot}/arrived"
     """
-    setting = Setting(c_suggest=0.01, c_move=0.01, trust="paper", travel_time=1, robots=2)
+    setting = LiveSetting(c_suggest=0.01, c_move=0.01, trust="paper", travel_time=1, robots=2, tick=3600.0)
     here, seen = Here(tmp_path / "session", ["ann", "bob"], setting), dict[str, dict[str, Any]]()
 
     async def work() -> None:
