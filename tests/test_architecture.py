@@ -34,7 +34,7 @@ ROOMS = {
     "assist.declare": "declared tables options catalogue refusals",
     "assist.people": """arguments state_keys hidden_type slots choices misconception decision same_costs user_code
         goals terms memory memory_on_demand choice_model weighted_choice human ranges real_people spread belief
-        influence_kernels type_kernels trust_rules neighbours neighbourhood theta_reach perceived_suggestions
+        influence_kernels type_kernels trust_rules neighbours neighbourhood sights theta_reach perceived_suggestions
         action_names signals""",
     "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings robot_actions
         trust_shares pomdp assumptions visiting_robot problem_arrays people_arrays rows problem_rows policy lazy_policy
@@ -56,10 +56,10 @@ ROOMS = {
         sampled_bound""",
     "assist.learning": """method log_steps log_json log_files log intervals comparison
         advice_log
-        advice_rules advice_model advice_fit replay observations evidence neighbours_in_logs likelihood
+        advice_rules advice_model advice_fit replay observations evidence likelihood
         likelihood_table likelihood_arrays first_estimates person_estimate maximum_likelihood
         logit_likelihood hierarchy misconception_fit
-        diagnostics population fit goals rule_families posterior_sample influence_population
+        diagnostics population fit goals rule_families neighbours_in_logs posterior_sample influence_population
         rule_search trust_fit held_out""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
     "assist.drawing.plots": """shown_figure style labels panels_by_name episode belief watched people policies

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import click
 
 from ..declare.options import Given, setting_options
-from ..people.neighbours import SeenOutcome
 from .options.common import figures_option, json_option, out_option, separate_files, together
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, folds_option, method_of, reading_options, task_log_options, with_task
@@ -73,8 +70,6 @@ def rules(
     Of --advice, base rates, a theta that all people share, and rules of given steps are compared, too. With --influence
     and the table `neighbours`, rules of what people see of each other are compared, beside this trust rule.
     """
-    from ..learning.neighbours_in_logs import with_neighbours
-
     given.refuse(("goal_prior", "seed", "chooses"), "on a comparison of trust rules")
     method = method_of(setting)
     with one_line_errors("interrupted; states evaluated on demand are saved"):
@@ -88,10 +83,9 @@ def rules(
         task, file, inputs = log.found()
         separate_files({"--out": files.out}, inputs)
         seen = with_task(task, file, reading, setting)
-        # Whatever the rule in the table, who sees whom matters here.
-        graph = setting.neighbours and replace(setting.neighbours, rule=SeenOutcome())
-        people, carry = partial(with_neighbours, seen, graph), not setting.theta_per_episode
-        show_comparison(rules_compared(people, seen.log.name, method, folds, carry=carry, beside=trust), files)
+        carry, graph = not setting.theta_per_episode, setting.neighbours
+        compared = rules_compared(seen, seen.log.name, method, folds, carry=carry, beside=trust, graph=graph)
+        show_comparison(compared, files)
     if not seen.complete:
         sys.exit(ExitCode.FAILED)
 

@@ -102,8 +102,7 @@ def fit(
             seen = with_task(found, file, reading, setting, choices=chooses is not None)
         method = method_of(setting)
         if what.trust:
-            carry, neighbours = not setting.theta_per_episode, setting.neighbours
-            complete = show_influence(seen, what.trust, method, carry, neighbours, files)
+            complete = show_influence(seen, what.trust, method, setting, files)
         else:
             model: Model | None = "misconceptions" if what.misconceptions else "terms" if what.terms else chooses
             complete = show_people(learned(seen, method, model, reading.jobs), files)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from typing import Any
@@ -15,9 +15,9 @@ from planner.system.arrays import read_only
 from planner.system.errors import InputFileError
 from planner.system.results import ByContent
 
-from ..people.decision import NOTHING, Floats
-from ..people.neighbours import SeenEvent, SeenNothing, SeenRule
+from ..people.decision import Floats
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
+from ..people.sights import SightTable
 from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule
 from .likelihood import Data, Method, largest_beta, with_trust, without_trust
 from .observations import Ints, Observations
@@ -61,9 +61,8 @@ class LikelihoodTable(ByContent):
         Arrays of shape (K, H).
     beta, theta : float arrays, shapes (B,), (T,)
         Nodes.
-    seen : float array, shape (K, H + 1, E, 4)
-        Up to E events that each person saw of neighbours before each suggestion, and after the last: the gain, whether
-        it was followed, the weight (0 for none), and whether it was in the episode of this suggestion.
+    seen : SightTable
+        What each person saw of neighbours.
     """
 
     people: tuple[str, ...]
@@ -77,7 +76,7 @@ class LikelihoodTable(ByContent):
     suggestions: PerceivedSuggestions
     beta: Floats
     theta: Floats
-    seen: Floats
+    seen: SightTable
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -121,7 +120,8 @@ class LikelihoodTable(ByContent):
         return cls(
             tuple(o.person for o in observations), np.array([len(o) for o in observations]), heard, anew, followed,
             tuple(every), tuple(silent for _, silent in alone), tuple(chances for chances, _ in alone),
-            PerceivedSuggestions(gain, agrees, optimal), beta, theta, _seen(observations, shape[1]),
+            PerceivedSuggestions(gain, agrees, optimal), beta, theta,
+            SightTable.of([o.seen for o in observations], heard.tolist(), shape[1]),
         )  # fmt: skip
 
     @classmethod
@@ -154,7 +154,7 @@ class LikelihoodTable(ByContent):
         suggestions = PerceivedSuggestions(*(array[people] for array in vars(self.suggestions).values()))
         for name in ("people", "data", "silent", "chances"):
             chosen[name] = tuple(compress(getattr(self, name), people.tolist()))
-        return replace(self, suggestions=suggestions, **chosen)
+        return replace(self, suggestions=suggestions, seen=self.seen.only(people), **chosen)
 
     @property
     def accepted(self) -> Ints:
@@ -174,7 +174,7 @@ class LikelihoodTable(ByContent):
         start = np.broadcast_to(self.theta, (len(self.people), len(self.theta)))
         theta, before = start, np.empty((*self.followed.shape, len(self.theta)))
         none = count = np.zeros((len(self.people), 1), dtype=np.int64)
-        see = self._moves(rule)
+        see = self.seen.moves(rule)
         for h in range(self.followed.shape[1]):
             theta = see(theta, h, False)
             if not carry:
@@ -186,24 +186,6 @@ class LikelihoodTable(ByContent):
             theta = np.where(h < self.heard[:, None], after, theta)
         return before, see(see(theta, -1, False), -1, True)
 
-    def _moves(self, rule: TrustRule) -> Callable[[Floats, int, bool], Floats]:
-        """Return a function of theta, shape (K, T), a suggestion, and whether what was seen was in its episode.
-
-        It returns theta after what was seen then.
-        """
-        seen: SeenRule = getattr(rule, "seen", SeenNothing())
-        update, (gain, followed, weight, current) = seen.update, np.moveaxis(self.seen, 3, 0)[..., None]
-        moves = [(weight > 0) & (current == now) for now in (False, True)]
-        some = [[np.flatnonzero(row) for row in one.any(axis=(0, 3))] for one in moves]
-
-        def moved(theta: Floats, h: int, now: bool) -> Floats:
-            for e in some[now][h].tolist():
-                event = SeenEvent(gain[:, h, e], followed[:, h, e] > 0, weight[:, h, e])
-                theta = np.where(moves[now][:, h, e], update(theta, event), theta)
-            return theta
-
-        return moved
-
     def log_likelihood(self, rule: TrustRule, *, carry: bool = True) -> Floats:
         """Return the log likelihood of each person's choices, shape (K, B, T); parameters as for `thetas`."""
         before, _ = self.thetas(rule, carry=carry)
@@ -212,24 +194,6 @@ class LikelihoodTable(ByContent):
             for k, data in enumerate(self.data)
         ]
         return np.array(found).reshape(len(found), len(self.beta), len(self.theta))
-
-
-def _seen(observations: Sequence[Observations], most: int) -> Floats:
-    """Return `LikelihoodTable.seen` of people with at most so many suggestions; what came last stands at the end."""
-    each: list[list[list[tuple[float, ...]]]] = []
-    for o in observations:
-        of_person: list[list[tuple[float, ...]]] = [[] for _ in range(most + 1)]
-        last = int((o.suggested != NOTHING).sum())
-        columns = (o.seen.before, o.seen.gain, o.seen.followed, o.seen.weight, o.seen.now)
-        for before, *event in zip(*(column.tolist() for column in columns), strict=True):
-            of_person[before if before < last else -1].append(tuple(map(float, event)))
-        each.append(of_person)
-    width = max((len(events) for of_person in each for events in of_person), default=0)
-    found = np.zeros((len(each), most + 1, width, 4))
-    for k, of_person in enumerate(each):
-        for h, events in enumerate(of_person):
-            found[k, h, : len(events)] = np.reshape(events, (len(events), 4))
-    return found
 
 
 def log_likelihood(

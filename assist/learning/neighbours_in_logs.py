@@ -8,39 +8,23 @@ the suggestions to neighbours before. The gain of a neighbour's step is the fall
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from ..people.decision import NOTHING
 from ..people.neighbourhood import Neighbourhood
-from ..people.neighbours import Neighbours
-from .evidence import Evidence
+from ..people.neighbours import Neighbours, name_of
+from ..people.sights import Acting, Helping, Sights
+from ..people.trust_rules import TrustRule
+from .evidence import Evidence, observations_of
 from .log import Entry
-from .observations import Ints, Observations, Seen
+from .observations import Ints, Observations
+from .rule_families import RuleFamily, seen_families
 
 BEFORE_ALL = -(2**63)
 """Number before that of every action: a person is there from the beginning."""
-
-
-class _Told(NamedTuple):
-    """A suggestion in a team: when it was answered, at which place, what was gained, and whether it was followed."""
-
-    order: int
-    place: int
-    gain: float
-    followed: bool
-
-
-class _Acts(NamedTuple):
-    """When a person acted: the team, the order, and since when they were there, of each of their N choices."""
-
-    team: list[str]
-    order: Ints
-    since: Ints
-    place: list[int]
 
 
 def with_neighbours(evidence: Evidence, neighbours: Neighbours | None) -> list[Observations]:
@@ -53,7 +37,7 @@ def with_neighbours(evidence: Evidence, neighbours: Neighbours | None) -> list[O
     evidence : Evidence
         A replayed log, in the task of one goal.
     neighbours : Neighbours or None
-        Who sees whom. By a rule that moves nothing, nobody sees anybody.
+        Who sees whom; whatever the rule is.
 
     Raises
     ------
@@ -61,8 +45,10 @@ def with_neighbours(evidence: Evidence, neighbours: Neighbours | None) -> list[O
         Each episode has one of several goals, or the graph has fewer stations than the log.
     """
     people = evidence.observations()
+    if neighbours is None:
+        return people
     places = _places(evidence, people)
-    graph = Neighbourhood.of(neighbours, 1 + max(places.values(), default=0))
+    graph = Neighbourhood(neighbours.rule, neighbours.weights(1 + max(places.values(), default=0)))
     if not graph.watched.any():
         return people
     if evidence.goals:
@@ -70,15 +56,39 @@ def with_neighbours(evidence: Evidence, neighbours: Neighbours | None) -> list[O
     entries = {(*one.names, one.step): one for one in evidence.log.entries}
     steps = [evidence.recording.step[evidence.recording.person == number] for number in range(len(people))]
     acts = [_acts(o, step, entries, places) for o, step in zip(people, steps, strict=True)]
-    told: dict[str, list[_Told]] = {}
+    told: dict[str, list[Helping]] = {}
     for o, own in zip(people, acts, strict=True):
         gained = o.cost_to_go - o.ahead[np.arange(len(o)), o.chosen]
-        for row in np.flatnonzero(o.suggested != NOTHING).tolist():
-            one = _Told(
-                int(own.order[row]), own.place[row], float(gained[row]), bool(o.chosen[row] == o.suggested[row])
-            )
+        for row in own.heard.tolist():
+            followed = bool(o.chosen[row] == o.suggested[row])
+            one = Helping(int(own.order[row]), own.place[row], float(gained[row]), followed)
             told.setdefault(own.team[row], []).append(one)
-    return [replace(o, seen=_seen(o, own, told, graph)) for o, own in zip(people, acts, strict=True)]
+    return [replace(o, seen=Sights.among(own, told, graph)) for o, own in zip(people, acts, strict=True)]
+
+
+def seen_by(
+    people: Evidence | Sequence[Observations], seen: str | Neighbours | None, own: TrustRule | RuleFamily
+) -> tuple[Sequence[Observations], RuleFamily]:
+    """Return people's observations and the family of rules by which their theta moves.
+
+    Parameters
+    ----------
+    people : Evidence, or sequence of Observations
+    seen : str, Neighbours or None
+        The name of the rule of what was seen; or who sees whom in a replayed log, with this rule.
+    own : TrustRule or RuleFamily
+        How theta moves by suggestions to oneself.
+
+    Raises
+    ------
+    ValueError
+        There is no such rule; or as in `with_neighbours`.
+    """
+    name, every = seen if isinstance(seen, str) else name_of(seen), seen_families(own)
+    if name not in every:
+        raise ValueError(f"seen '{name}': expected one of {', '.join(every)}")
+    graph = seen if isinstance(seen, Neighbours) else None
+    return with_neighbours(people, graph) if isinstance(people, Evidence) else observations_of(people), every[name]
 
 
 def _places(evidence: Evidence, people: Iterable[Observations]) -> Mapping[tuple[str, str], int]:
@@ -97,7 +107,7 @@ def _places(evidence: Evidence, people: Iterable[Observations]) -> Mapping[tuple
 
 def _acts(
     o: Observations, step: Ints, entries: Mapping[tuple[str, str, int], Entry], places: Mapping[tuple[str, str], int]
-) -> _Acts:
+) -> Acting:
     """Return when a person acted, whose choices have these steps."""
     episode = np.array(o.episodes)[o.begins.cumsum() - 1].tolist() if len(o) else []
     rows = [entries[o.person, name, at] for name, at in zip(episode, step.tolist(), strict=True)]
@@ -105,32 +115,9 @@ def _acts(
         place = [places[one.names] for one in rows]
     except KeyError as error:
         raise ValueError(f"place: expected one of {error.args[0]}, as others have one") from None
-    return _Acts(
+    return Acting(
         ["" if one.order is not None else one.episode for one in rows],
         np.array([one.step if one.order is None else one.order for one in rows], dtype=np.int64),
         np.array([BEFORE_ALL if one.since is None else one.since for one in rows], dtype=np.int64),
-        place,
-    )
-
-
-def _seen(o: Observations, own: _Acts, told: Mapping[str, list[_Told]], graph: Neighbourhood) -> Seen:
-    """Return what a person saw: all that was told in their teams before their last action, while they were there."""
-    rows, number = [], o.begins.cumsum() - 1
-    heard = np.flatnonzero(o.suggested != NOTHING)
-    team = np.array(own.team)
-    for name in dict.fromkeys(own.team):
-        mine = np.flatnonzero(team == name)
-        sees = graph.seen_from(own.place[mine[0]])
-        for one in sorted(told.get(name, [])):
-            later = np.flatnonzero(own.order[mine] > one.order)
-            if one.place not in sees or not len(later):
-                continue
-            row = int(mine[later[0]])  # the first choice after it
-            if own.since[row] >= one.order:
-                continue
-            before = int(np.searchsorted(heard, row))
-            now = before < len(heard) and number[heard[before]] == number[row]
-            rows.append((before, now, one.gain, one.followed, sees[one.place]))
-    columns = list(zip(*rows, strict=True)) or [()] * 5
-    kinds = (np.int64, np.bool_, np.float64, np.bool_, np.float64)
-    return Seen(*(np.array(c, dtype=kind) for c, kind in zip(columns, kinds, strict=True)))
+        place, np.flatnonzero(o.suggested != NOTHING), o.begins.cumsum() - 1,
+    )  # fmt: skip

@@ -14,6 +14,7 @@ from planner.system.results import ByContent, Result
 
 from ..people.decision import NOTHING, Floats
 from ..people.same_costs import same_cost
+from ..people.sights import Sights
 from .replay import Recording
 
 Ints = NDArray[np.int64]
@@ -103,31 +104,6 @@ class EvaluatedStates(ByContent):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Seen(ByContent):
-    """What a person saw of suggestions to neighbours, in order of time; E events.
-
-    Attributes
-    ----------
-    before : int array, shape (E,)
-        Number of suggestions to the person until then, in all episodes.
-    now : bool array, shape (E,)
-        Whether it was in the episode of the next suggestion to the person.
-    gain, weight : float arrays, shape (E,)
-    followed : bool array, shape (E,)
-        As in `people.neighbours.SeenEvent`.
-    """
-
-    before: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    now: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
-    gain: Floats = field(default_factory=lambda: np.zeros(0))
-    followed: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
-    weight: Floats = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        read_only(self)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class Observations(Result):
     """One person's recorded choices; N steps of up to A choices.
 
@@ -167,7 +143,7 @@ class Observations(Result):
     goals : UnknownGoals, optional
         The choices with each possible goal; None if the goal is known. What depends on the goal in other fields then
         belongs to one goal for each episode.
-    seen : Seen
+    seen : Sights
         What the person saw of suggestions to neighbours (`neighbours_in_logs.with_neighbours`).
     """
 
@@ -189,7 +165,7 @@ class Observations(Result):
     features: Floats
     own: Chances | None = None
     goals: UnknownGoals | None = None
-    seen: Seen = field(default_factory=Seen)
+    seen: Sights = field(default_factory=Sights.of)
 
     def __post_init__(self) -> None:
         read_only(self)

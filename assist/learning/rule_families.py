@@ -8,16 +8,13 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
-from ..people.neighbours import SeenFollowed, SeenOutcome, SeenRule, SeenSteps, WithSeen
+from ..people.neighbours import LARGEST_STEP, SEEN_RULES, WithSeen
 from ..people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
 from .intervals import Interval
 from .likelihood import Method
 
 STEP_SIZES = (0.1, 0.4)
 """Steps of logit(theta) that are tried for gain and for loss, in log-odds."""
-
-LARGEST_STEP = 3.0
-"""Largest step that is estimated, in log-odds: from theta = .18 to .82 at once."""
 
 RATES = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Values of eta that are tried."""
@@ -87,8 +84,7 @@ def families(method: Method) -> dict[str, RuleFamily]:
 
 def parameters_of(rule: TrustRule) -> dict[str, float]:
     """Return the numbers that a rule has, by name."""
-    parts = [rule.own, rule.seen] if isinstance(rule, WithSeen) else [rule]
-    numbers = [(name, value) for part in parts for name, value in vars(part).items()]
+    numbers = [(name, value) for part in getattr(rule, "parts", (rule,)) for name, value in vars(part).items()]
     return {name: float(value) for name, value in numbers if type(value) in (int, float)}
 
 
@@ -103,26 +99,12 @@ def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
         How theta moves by suggestions to oneself: a rule, or a family whose parameters are estimated as well.
     """
     mine = own if isinstance(own, RuleFamily) else RuleFamily.of(own)
-    kinds: dict[str, tuple[Callable[..., SeenRule], dict[str, Interval], tuple[tuple[float, ...], ...]]] = {
-        "outcome": (SeenOutcome, {"eta_seen": (0.0, 1.0)}, ((0.03,), (0.1,), (0.3,))),
-        "followed": (SeenFollowed, {"rise": (0.0, 1.0), "fall": (0.0, 1.0)}, ((0.03, 0.03), (0.1, 0.1))),
-        "steps": (
-            lambda seen_gain, seen_loss: SeenSteps(seen_gain, seen_loss),
-            {"seen_gain": (0.0, LARGEST_STEP), "seen_loss": (0.0, LARGEST_STEP)}, ((0.1, 0.2), (0.4, 0.4)),
-        ),
-    }  # fmt: skip
-
-    def made(seen: Callable[..., SeenRule], names: Mapping[str, Interval]) -> Callable[..., TrustRule]:
-        def make(**values: float) -> TrustRule:
-            of_seen = {name: values.pop(name) for name in names}
-            return WithSeen(mine.make(**values), seen(**of_seen))
-
-        return make
-
-    return {"none": mine} | {
+    return {
         name: RuleFamily(
-            made(seen, ranges), {**mine.ranges, **ranges},
-            tuple((*one, *other) for one in mine.tried for other in tried), mine.logarithms, f", neighbours {name}",
+            WithSeen.maker(mine.make, seen), {**mine.ranges, **seen.estimated},
+            tuple((*one, *other) for one in mine.tried for other in seen.tried), mine.logarithms,
+            f", neighbours {name}",
         )
-        for name, (seen, ranges, tried) in kinds.items()
+        if seen.estimated else mine
+        for name, seen in SEEN_RULES.items()
     }  # fmt: skip

@@ -21,15 +21,17 @@ from scipy.special import expit, logit
 from planner.system.results import Result
 
 from ..people.decision import Floats
+from ..people.neighbours import Neighbours
 from ..people.trust_rules import TrustRule, plain_rule
-from .evidence import Evidence, observations_of
+from .evidence import Evidence
 from .influence_population import InfluencePopulation
 from .intervals import Interval, equal_tailed
 from .likelihood import Method
 from .likelihood_table import LikelihoodTable
+from .neighbours_in_logs import seen_by
 from .observations import Observations
 from .population import Margin, PopulationFit
-from .rule_families import RuleFamily, families, parameters_of, seen_families
+from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
 
 
@@ -132,7 +134,7 @@ class InfluenceFit(Result):
 
 def fit_influence(
     observations: Evidence | Sequence[Observations], rule: str | TrustRule | RuleFamily, method: Method | None = None,
-    *, seen: str = "none", carry: bool = True,
+    *, seen: str | Neighbours | None = None, carry: bool = True,
 ) -> InfluenceFit:  # fmt: skip
     """Return each person's influence under a trust rule.
 
@@ -146,9 +148,9 @@ def fit_influence(
         The name of a shipped rule, whose parameters are estimated; or a rule, taken unchanged; or a family of rules.
     method : Method, optional
         Level of the intervals, lapse, and what is known beforehand.
-    seen : str
+    seen : str or Neighbours, optional
         Name of the rule by which theta also moves by what people saw of neighbours (`with_neighbours`), whose
-        parameters are estimated, too; one of `seen_families`.
+        parameters are estimated, too; one of `seen_families`. Or who sees whom in a replayed log, with this rule.
     carry : bool
         Whether theta is carried from episode to episode, in the order of their names.
 
@@ -164,11 +166,8 @@ def fit_influence(
     if isinstance(rule, str) and rule not in known:
         raise ValueError(f"trust '{rule}': expected one of {', '.join(known)}, or a rule")
     of_name = known[rule] if isinstance(rule, str) else rule
-    beside = seen_families(of_name)
-    if seen not in beside:
-        raise ValueError(f"seen '{seen}': expected one of {', '.join(beside)}")
-    family = beside[seen]
-    log = LikelihoodTable.of_advised(observations_of(observations), method, carry=carry)
+    people_seen, family = seen_by(observations, seen, of_name)
+    log = LikelihoodTable.of_advised(people_seen, method, carry=carry)
     search = RuleSearch(log, family, carry)
     values, intervals = search.best(), {}
     # A person's belief is averaged over what the parameters of the rule may be: with the best ones alone, intervals of

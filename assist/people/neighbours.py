@@ -9,9 +9,10 @@ an event, by `update(theta, event)` with a `SeenEvent`: a deterministic map, as 
 - "followed": theta rises when the neighbour follows, and falls when not, `SeenFollowed`.
 - "steps": steps of logit(theta) by what came of suggestions that were followed, `SeenSteps`.
 
-A rule of one's own is any frozen object with that method. A step has this order: people act, their theta moves by what
-was suggested to them, and then by what they saw, in the order of the people that they saw. `neighbourhood` applies the
-maps to people and to beliefs.
+They have `estimated`, the ranges of their numbers in the order of the fields, for estimates from logs, and `tried`, the
+numbers that are tried first. A rule of one's own is any frozen object with `update`. A step has this order: people act,
+their theta moves by what was suggested to them, and then by what they saw, in the order of the people that they saw.
+`neighbourhood` applies the maps to people and to beliefs, `sights` to people of a log.
 
 Bounds on team policies need to know how far theta can come. A rule with a method `envelope` tells it: the least and
 the largest theta after an event, both of which rise with theta. A bound with another rule is refused.
@@ -37,6 +38,10 @@ if TYPE_CHECKING:
     from .decision import Floats
 
 Range = tuple[float, float]
+Tried = tuple[tuple[float, ...], ...]
+
+LARGEST_STEP = 3.0
+"""Largest step that is estimated, in log-odds: from theta = .18 to .82 at once."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,8 @@ class SeenRule(Protocol):
 class SeenNothing:
     """Theta does not move by what is seen of neighbours."""
 
+    estimated: ClassVar[Mapping[str, Range]] = {}
+    tried: ClassVar[Tried] = ((),)
     tag: ClassVar[Mapping[str, str]] = {"rule": "none"}
 
     def update(self, theta: Floats, event: SeenEvent) -> Floats:  # noqa: ARG002
@@ -86,6 +93,8 @@ class SeenNothing:
 class SeenOutcome:
     """Equation (7) with a neighbour's gain: theta' = clip(theta + weight eta_seen gain / utility_scale, 0, 1)."""
 
+    estimated: ClassVar[Mapping[str, Range]] = {"eta_seen": (0.0, 1.0)}
+    tried: ClassVar[Tried] = ((0.03,), (0.1,), (0.3,))
     eta_seen: Annotated[Number, Field(ge=0, le=MOST, description="Rate by which theta moves.")] = 0.1
     utility_scale: Annotated[Number, Field(ge=1 / MOST, le=MOST, description="Unit of value, in cost units.")] = 1.0
     tag: ClassVar[Mapping[str, str]] = {"rule": "outcome"}
@@ -105,6 +114,8 @@ class SeenOutcome:
 class SeenFollowed:
     """Theta rises when a neighbour follows a suggestion, and falls when not, by fixed steps times the weight."""
 
+    estimated: ClassVar[Mapping[str, Range]] = {"rise": (0.0, 1.0), "fall": (0.0, 1.0)}
+    tried: ClassVar[Tried] = ((0.03, 0.03), (0.1, 0.1))
     rise: Annotated[Number, Field(ge=0, le=1, description="Rise of theta when the neighbour follows.")] = 0.05
     fall: Annotated[Number, Field(ge=0, le=1, description="Fall of theta when the neighbour does not follow.")] = 0.05
     tag: ClassVar[Mapping[str, str]] = {"rule": "followed"}
@@ -124,6 +135,9 @@ class SeenFollowed:
 class SeenSteps:
     """Logit(theta) moves by fixed steps, times the weight, after suggestions that a neighbour followed."""
 
+    # Rules of one's own have a gain and a loss, too.
+    estimated: ClassVar[Mapping[str, Range]] = {"seen_gain": (0.0, LARGEST_STEP), "seen_loss": (0.0, LARGEST_STEP)}
+    tried: ClassVar[Tried] = ((0.1, 0.2), (0.4, 0.4))
     gain: Annotated[
         Number, Field(ge=0, le=MOST, description="Step up if the neighbour came closer to the goal, in log-odds.")
     ] = 0.1
@@ -172,6 +186,21 @@ class WithSeen:
     own: TrustRule
     seen: SeenRule
 
+    @staticmethod
+    def maker(own: Callable[..., TrustRule], seen: type[ShippedSeen]) -> Callable[..., TrustRule]:
+        """Return a function of the numbers of both rules, by their names in `estimated`, that returns them together."""
+
+        def made(**numbers: float) -> TrustRule:
+            of_seen = [numbers.pop(name) for name in seen.estimated]
+            return WithSeen(own(**numbers), seen(*of_seen))
+
+        return made
+
+    @property
+    def parts(self) -> tuple[TrustRule, SeenRule]:
+        """Both rules."""
+        return self.own, self.seen
+
     @property
     def uses_answer(self) -> bool:
         """As in the person's own rule."""
@@ -194,7 +223,7 @@ class WithSeen:
 
 ShippedSeen: TypeAlias = SeenNothing | SeenOutcome | SeenFollowed | SeenSteps
 
-SEEN_RULES: dict[str, Callable[[], ShippedSeen]] = {
+SEEN_RULES: dict[str, type[ShippedSeen]] = {
     "none": SeenNothing,
     "outcome": SeenOutcome,
     "followed": SeenFollowed,
@@ -321,6 +350,12 @@ Watched = Annotated[
     Field(description="Who sees whom being helped, and how theta of those who see it moves; nobody unless given."),
 ]
 """The field of a setting."""
+
+
+def seen_part(rule: object) -> SeenRule:
+    """Return the part of a trust rule that is about neighbours."""
+    found: SeenRule = getattr(rule, "seen", SeenNothing())
+    return found
 
 
 def seen_rule_of(given: Neighbours | None) -> SeenRule:

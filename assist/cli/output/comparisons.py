@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from ...learning.comparison import Comparison
     from ...learning.evidence import Evidence
     from ...learning.likelihood import Method
-    from ...learning.observations import Observations
+    from ...people.neighbours import Neighbours
 
 
 def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
@@ -36,19 +35,21 @@ def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
 
 
 def rules_compared(
-    people: Callable[[], Sequence[Observations]] | AdviceLog, name: str, method: Method, folds: int, *, carry: bool,
-    beside: str | None = None,
+    people: Evidence | AdviceLog, name: str, method: Method, folds: int, *, carry: bool,
+    beside: str | None = None, graph: Neighbours | None = None,
 ) -> Comparison:  # fmt: skip
-    """Compare trust rules on the people of a file with this name, or rules of what is seen of neighbours beside one.
+    """Compare trust rules on the people of a file with this name, or rules of what they see of others beside one.
 
     Expected errors end the command in one line.
     """
+    from ...learning.evidence import Evidence
     from ...learning.held_out import REFERENCE, compare_rules
+    from ...learning.neighbours_in_logs import with_neighbours
     from ...learning.rule_families import families, seen_families
 
     rules, reference = (None, REFERENCE) if beside is None else (seen_families(families(method)[beside]), "none")
     try:
-        some = people() if callable(people) else people
+        some = with_neighbours(people, graph) if isinstance(people, Evidence) else people
         with stages() as show:
             return compare_rules(
                 some, method, rules=rules, reference=reference, folds=folds, carry=carry, progress=show

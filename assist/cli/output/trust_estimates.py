@@ -10,7 +10,6 @@ from rich.table import Table
 
 from planner.system.files import write_records
 
-from ...people.neighbours import name_of
 from ..terminal.console import ExitCode, fail, print_json, print_table
 from .people_estimates import FitFiles, write_population
 
@@ -19,19 +18,15 @@ if TYPE_CHECKING:
     from ...learning.evidence import Evidence
     from ...learning.likelihood import Method
     from ...learning.trust_fit import InfluenceFit
-    from ...people.neighbours import Neighbours
+    from ..options.settings import EstimateSetting
 
 
-def show_influence(
-    seen: Evidence, rule: str, method: Method, carry: bool, neighbours: Neighbours | None, files: FitFiles
-) -> bool:
+def show_influence(seen: Evidence, rule: str, method: Method, setting: EstimateSetting, files: FitFiles) -> bool:
     """Estimate influence under a rule. Return whether every line of the log was used."""
-    from ...learning.neighbours_in_logs import with_neighbours
     from ...learning.trust_fit import fit_influence
 
     try:
-        people = with_neighbours(seen, neighbours)
-        found = fit_influence(people, rule, method, seen=name_of(neighbours), carry=carry)
+        found = fit_influence(seen, rule, method, seen=setting.neighbours, carry=not setting.theta_per_episode)
     except ValueError as error:
         fail(f"{seen.log.name}: {error}", ExitCode.FAILED)
     if files.population:
