@@ -90,10 +90,10 @@ def _remarks(study: UserStudy) -> Iterator[str]:
         name: costs_of(instance, max_states=SolveOptions.max_states, memory_limit_mb=None)
         for name, instance in study.tasks
     }
-    for one, assisted, episodes in seldom_assisted(study, tasks):
+    for one, assisted in seldom_assisted(study, tasks):
         costs = f"c_suggest {one.setting.c_suggest:g}, c_move {one.setting.c_move:g}"
-        said = f"{one.name} suggests something in {assisted} of {episodes} simulated episodes"
-        yield f"{said}: hardly any suggestion is worth its cost ({costs}), see the table `setting` of the file"
+        said = f"{one.name} suggests something to {assisted:.0f} % of simulated people"
+        yield f"{said}: hardly any suggestion is worth its cost ({costs}); set lower costs in the table `setting`"
 
 
 def _ids(file: Path, longest: int = 100) -> list[str]:

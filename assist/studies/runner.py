@@ -209,9 +209,9 @@ def _cell(record: Mapping[str, Any]) -> Cell:
 def load_study(folder: str | Path) -> pd.DataFrame:
     """Read a study's episodes as a data frame, one row for each, in the study's order.
 
-    The columns are the fields of `episodes.jsonl`, which `docs/study.md` describes, and four more:
+    The columns are the fields of `episodes.jsonl`, which `docs/study.md` describes, and five more:
     `human_actions_per_person`, `cost_per_person` (cost units), `cut_off`, whether a person had not finished at the step
-    limit, and `finished_percent`, the percentage of people who had.
+    limit, and the percentages of people who had, `finished_percent`, and who were helped, `helped_percent`.
 
     Parameters
     ----------
@@ -241,7 +241,8 @@ def load_study(folder: str | Path) -> pd.DataFrame:
         frame["human_actions_per_person"] = [sum(actions) / len(actions) for actions in frame["actions"]]
         frame["cost_per_person"] = [sum(costs) / len(costs) for costs in frame["costs"]]
         frame["cut_off"] = [not all(finished) for finished in frame["finished"]]
-        frame["finished_percent"] = [100 * sum(finished) / len(finished) for finished in frame["finished"]]
+        for name in ("finished", "helped"):
+            frame[f"{name}_percent"] = [100 * sum(map(bool, each)) / len(each) for each in frame[name]]
         for name in (*KEY[:-1], "policy"):
             frame[name] = pd.Categorical(frame[name], categories=frame[name].unique())
     return frame

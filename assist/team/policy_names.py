@@ -8,3 +8,6 @@ BASELINES = ("none", "reactive")
 
 WEIGHING = tuple(name for name in POLICIES if name not in BASELINES)
 """Policies that weigh the cost of a suggestion."""
+
+SELDOM = 25.0
+"""Percentage of people who get a suggestion below which a policy hardly assists anybody."""

@@ -54,7 +54,7 @@ trials = 2
 
 [[conditions]]
 name = "first"
-settings = [{{ c_suggest = 0.2 }}, {{ c_suggest = 40.0 }}]
+settings = [{{ c_suggest = 0.05, c_move = 0.05 }}, {{ c_suggest = 40.0 }}]
 """
 
 
@@ -119,11 +119,11 @@ def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatc
     out = tmp_path / "out"
     assert run_study(study, out) == []
     summary = write_report(study, out).summary
-    (row,) = summary["without_suggestions"]
-    assert (row["policy"], row["setting"], row["c_suggest"]) == ("attention", "c_suggest 40", 40.0)
+    (row,) = summary["seldom_assisted"]
+    assert (row["policy"], row["setting"], row["assisted"], row["c_suggest"]) == ("attention", "c_suggest 40", 0, 40.0)
     note = (
-        "attention makes no suggestion (first, c_suggest 40, everybody, tiny): "
-        "no suggestion was worth its cost (c_suggest 40)"
+        "attention suggests something to 0 % of people (first, c_suggest 40, everybody, tiny): "
+        "hardly any suggestion is worth its cost (c_suggest 40); set a lower one in `[setting]`"
     )
     assert list(study_report.cost_notes(summary)) == [note]
     assert f"\n\n**Note.** {note}.\n\n" in (out / "report.md").read_text()

@@ -19,7 +19,6 @@ from planner.system.workers import outcomes
 
 from ...declare.declared import plain, sentences
 from ...drawing.plots import style
-from ...person.policy import not_worth_its_cost
 from ...team.policy_names import BASELINES
 from ..protocol import study_of
 from ..runner import load_study
@@ -202,10 +201,13 @@ def limit_notes(summary: Record) -> Iterator[str]:
 
 
 def cost_notes(summary: Record) -> Iterator[str]:
-    """Yield a note for each policy that weighs costs and makes no suggestion."""
-    for row in summary["without_suggestions"]:
+    """Yield a note for each policy that weighs costs and hardly assists anybody."""
+    for row in summary["seldom_assisted"]:
         where = ", ".join(row[name] for name in ARM if row[name] and row[name] != OWN)
-        yield f"{row['policy']} makes no suggestion ({where}): {not_worth_its_cost(row['c_suggest'])}"
+        yield (
+            f"{row['policy']} suggests something to {row['assisted']:.0f} % of people ({where}): hardly any suggestion "
+            f"is worth its cost (c_suggest {row['c_suggest']:g}); set a lower one in `[setting]`"
+        )
 
 
 def headline(summary: Record) -> tuple[list[str], list[list[str]], str]:

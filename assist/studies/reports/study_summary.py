@@ -16,7 +16,7 @@ from planner.system.files import finite
 
 from ...learning.intervals import IntervalEstimate
 from ...person.settings import Setting
-from ...team.policy_names import BASELINES, WEIGHING
+from ...team.policy_names import BASELINES, SELDOM, WEIGHING
 from .. import statistics
 from ..study import SCHEMA, Study
 
@@ -101,7 +101,7 @@ class Found:
         return {
             "schema": SCHEMA, "title": study.title, "seed": study.seed, "repeats": study.repeats,
             "fingerprint": study.fingerprint(), "headline": self.headline(), "cells": self.cells(),
-            "comparisons": self.comparisons(), "without_suggestions": self.arms_without_suggestions(),
+            "comparisons": self.comparisons(), "seldom_assisted": self.seldom_assisted(),
             "decline": self.decline(), "contrasts": self.contrasts(), "readings": self.readings(),
         }  # fmt: skip
 
@@ -189,17 +189,16 @@ class Found:
                             ]
         return found
 
-    def arms_without_suggestions(self) -> list[dict[str, Any]]:
-        """Return the arms in which a policy that weighs costs makes no suggestion, with the cost of one."""
+    def seldom_assisted(self) -> list[dict[str, Any]]:
+        """Return the arms in which a policy that weighs costs hardly assists, with whom it does, and the cost."""
         found = []
-        most = self.episodes.groupby([*ARM, "policy"], observed=True, sort=False)[["interventions", "steps"]].max()
-        for key, interventions, steps in most.itertuples():
+        acted = self.episodes[self.episodes["steps"] > 0].groupby([*ARM, "policy"], observed=True, sort=False)
+        for key, assisted in acted["helped_percent"].mean().items():
             *arm, policy = _texts(key)
             labels = dict(zip(ARM, arm, strict=True))
-            setting = self._setting(labels)
-            costs = set(setting.fleet.each("c_suggest").tolist())
-            if policy in WEIGHING and not interventions and steps and len(costs) == 1:
-                found.append({**labels, "policy": policy, "c_suggest": costs.pop()})
+            costs = set(self._setting(labels).fleet.each("c_suggest").tolist())
+            if policy in WEIGHING and assisted < SELDOM and len(costs) == 1:
+                found.append({**labels, "policy": policy, "assisted": assisted, "c_suggest": costs.pop()})
         return found
 
     def decline(self) -> list[dict[str, Any]]:

@@ -159,13 +159,14 @@ class ReportWording(Wording):
         return ["", *names], [[one["label"], *map(self.value, one["cells"])] for one in summary["measures"]]
 
     def notes(self, summary: dict[str, Any]) -> Iterator[str]:
-        """Yield what stands at the top: whether more participants are planned, and who made no suggestion."""
+        """Yield what stands at the top: whether more participants are planned, and who hardly made a suggestion."""
         counts = summary["participants"]
         if counts["planned"] is not None and counts["completed"] < counts["planned"]:
             yield self.texts.phrase("report.in_progress", done=counts["completed"], planned=counts["planned"])
-        for one in summary["without_suggestions"]:
-            costs = {name: self.plain(one[name]) for name in ("c_suggest", "c_move")}
-            yield self.texts.phrase("report.no_suggestions", **one | costs)
+        for one in summary["seldom_assisted"]:
+            numbers = {name: self.plain(one[name]) for name in ("c_suggest", "c_move")}
+            assisted = self.texts.decimal(one["assisted"], 0)
+            yield self.texts.phrase("report.seldom_assisted", **one | numbers | {"assisted": assisted})
 
     def name(self, form: str, item: Item) -> str:
         """Return the label of an item in a figure."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from statistics import fmean
 from typing import Any
 
 from planner.system.files import finite
 
-from ...team.policy_names import WEIGHING
+from ...team.policy_names import SELDOM, WEIGHING
 from ..statistics import FEW, cronbach_alpha
 from ..userstudy.outcomes import Row
 from ..userstudy.plan import UserStudy
@@ -28,7 +29,7 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "design": study.design,
         "reference": study.reference,
         "setup": _setup(data),
-        "without_suggestions": list(_without_suggestions(data)),
+        "seldom_assisted": list(_seldom_assisted(data)),
         "participants": {"planned": study.participants, **_counts(data)},
         "conditions": _conditions(data), **_groups(data),
         "flow": _flow(data),
@@ -56,13 +57,14 @@ def _setup(data: StudyData) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _without_suggestions(data: StudyData) -> Iterator[Row]:
-    """Yield the conditions in which a policy that weighs costs made no suggestion to anybody who acted."""
+def _seldom_assisted(data: StudyData) -> Iterator[Row]:
+    """Yield the conditions in which a policy that weighs costs hardly assisted, with the percentage of tasks."""
     for one in data.study.conditions:
         own = [row for row in data.tables.tasks if row["condition"] == one.name and row["actions"]]
-        if one.policy in WEIGHING and own and not any(row["suggestions"] for row in own):
+        assisted = 100 * fmean(bool(row["suggestions"]) for row in own) if own else SELDOM
+        if one.policy in WEIGHING and assisted < SELDOM:
             costs = {"c_suggest": one.setting.c_suggest, "c_move": one.setting.c_move}
-            yield {"condition": one.name, "policy": one.policy, **costs}
+            yield {"condition": one.name, "policy": one.policy, "assisted": assisted, **costs}
 
 
 # Participants.

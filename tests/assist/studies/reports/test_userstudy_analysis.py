@@ -452,17 +452,19 @@ def report_of(folder: Path, tables: Tables, text: str = CONFIRMED) -> str:
 def test_the_report_says_at_its_top_that_a_policy_suggested_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    tables = rows_of([(name, name, 1, 8, 5) for name in ("none", "attention") * 2])
-    said = "**attention made no suggestion** to anybody: none was worth its cost (c_suggest 0.02, c_move 0.01)"
+    tables = rows_of([(name, name, 1, 8, 5) for name in ("none", "attention") * 5])
+    said = "**attention made suggestions in 0 % of the tasks**: hardly any was worth its cost (c_suggest 0.02, "
     assert said in report_of(tmp_path, tables).partition("## Participants")[0]
     assert said.replace("**", "") in run("study-report", tmp_path / "data").stdout
     monkeypatch.setattr("assist.studies.userstudy.export.archive", lambda _: b"")
     _report(tmp_path / "data")  # as a rehearsal does at its end
     assert said.replace("**", "") in capsys.readouterr().err
     tables.tasks[1]["suggestions"] = 1
-    assert "made no suggestion" not in report_of(tmp_path, tables)
+    assert "**attention made suggestions in 20 % of the tasks**" in report_of(tmp_path, tables)
+    tables.tasks[3]["suggestions"] = 1
+    assert "made suggestions" not in report_of(tmp_path, tables)
     reactive = CONFIRMED.replace('policy = "attention"', 'policy = "reactive"')  # which weighs no costs
-    assert "made no suggestion" not in report_of(tmp_path, rows_of([("attention", "attention", 1, 8, 5)]), reactive)
+    assert "made suggestions" not in report_of(tmp_path, rows_of([("attention", "attention", 1, 8, 5)]), reactive)
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -612,7 +614,7 @@ def test_a_plan_is_checked_without_registering_it(tmp_path: Path) -> None:
     assert [one.name for one in tmp_path.iterdir()] == ["study.toml"]
     dear = written(file, CONFIRMED.replace("c_suggest = 0.02", "c_suggest = 50.0"))
     said = run("study-prepare", dear, "--data", tmp_path / "data")
-    assert "attention suggests something in 0 of 40 simulated episodes: hardly any suggestion is worth" in said.stderr
+    assert "attention suggests something to 0 % of simulated people: hardly any suggestion is worth" in said.stderr
     assert (tmp_path / "data" / REGISTERED).exists()
     for options, wrong in (((), "expected --data DIR"), (("--check", "--links", file), "cannot be combined")):
         refused = run("study-prepare", file, *options)
