@@ -156,6 +156,6 @@ def test_the_bound_holds_with_several_goals(tiny: Table) -> None:
     goals = Goals(dict(zip(("own", "other"), sweep_goals([tiny.task, other]), strict=True)), {"own": 0.6, "other": 0.4})
     pool = pool_of(goals, SeenOutcome(0.3), c_suggest=0.05)
     bound = upper_bound(pool, [0, 1], time_limit=2)
-    for name in ("attention", "attention-outlook", "priority", "rollout"):
-        found = bound.certify(name, episodes=500)
+    for name, episodes in {"attention": 500, "attention-outlook": 500, "priority": 500, "rollout": 20}.items():
+        found = bound.certify(name, episodes=episodes)
         assert found.value - 3 * found.value_stderr <= bound.upper
