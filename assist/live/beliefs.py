@@ -18,7 +18,7 @@ from ..people.belief import ImpossibleObservationError
 from ..people.decision import NOTHING
 from ..people.spread import Spread
 from ..person.beliefs import PersonModel
-from ..person.joint_belief import JointBelief, expected_answers, same_suggestions
+from ..person.joint_belief import JointBelief, expected_answers
 from ..person.observation_model import ObservationModel
 from ..person.problem_arrays import Acts
 from ..person.settings import Setting
@@ -100,10 +100,9 @@ def unchanged_if_refused(team: Roster, record: RosterEntry) -> Iterator[None]:
 
 def hear(team: Roster, record: RosterEntry, answers: list[Told], setting: Setting) -> None:
     """Record answers of a person about their goal; errors as in `tell`."""
-    k, robot = record.place, int(team.robot[record.place])
     tell(team, record, answers, setting)
     record.told += answers
-    team.put(record, team.row(record), erred=bool(team.erred[k]), robot=robot)
+    team.put(record, team.row(record), erred=bool(team.erred[record.place]), offer=record.offer)
 
 
 def believe_again(team: Roster, record: RosterEntry, setting: Setting) -> bool:
@@ -126,7 +125,7 @@ def correct(team: Roster, record: RosterEntry, action: str, setting: Setting) ->
         The action is not applicable in any state in which the person probably was, or contradicts an answer about the
         goal. Nothing has changed.
     """
-    k, seen, row = record.place, record.steps[-1], team.row(record)
+    seen = record.steps[-1]
     known = {"likelihoods": {action: 1.0}}
     record.steps[-1] = seen._replace(action=action, seen=known, slot=NOTHING, doubtful=False)
     try:
@@ -135,9 +134,7 @@ def correct(team: Roster, record: RosterEntry, action: str, setting: Setting) ->
     except InapplicableError:
         record.steps[-1] = seen
         raise
-    likeliest, pomdp = team.row(record), record.problem.policy.pomdp
-    still = same_suggestions(pomdp, np.array([row]), np.array([likeliest]))[0, team.robot[k]]
-    team.put(record, likeliest, erred=erred, robot=int(still))
+    team.put(record, team.row(record), erred=erred, offer=record.offer)
 
 
 def worth_of_asking(record: RosterEntry, setting: Setting) -> tuple[float, dict[str, float]]:

@@ -7,7 +7,7 @@ little while a decision is made, and all else is computed only on request.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -31,8 +31,9 @@ from ..team.by_policy import by_model
 from ..team.outlook import beside
 from ..team.state import BASE, TeamPolicy, TeamState, worth_of_actions
 from .advice import Question
+from .causes import CAUSES
 from .contrast import Contrast, contrast
-from .explanation import Cause, Explanation, Prospect, Sight, WhyNothing, WhyPerson, WhyQuestion, WhyStep
+from .explanation import Explanation, Prospect, Sight, WhyNothing, WhyPerson, WhyQuestion, WhyStep
 from .live_task import LiveTask
 from .roster import Roster
 
@@ -71,6 +72,8 @@ class DecisionPoint:
         Returns the team's policy.
     saw : mapping of int to Sight
         What people saw last of a neighbour in their present task, by place.
+    paused : bool
+        Whether suggestions are paused.
     """
 
     names: tuple[str, ...]
@@ -89,6 +92,7 @@ class DecisionPoint:
     neighbours: Neighbourhood = NOBODY_SEES
     policy: Callable[[], TeamPolicy] = NoAssistance
     saw: Mapping[int, Sight] = field(default_factory=dict)
+    paused: bool = False
 
     @classmethod
     def of(
@@ -121,7 +125,7 @@ class DecisionPoint:
             {
                 k: Sight(one.name, one.saw[-1].neighbour, one.saw[-1].followed)
                 for k, one in enumerate(team.records) if one.saw
-            },
+            }, team.paused,
         )  # fmt: skip
         for number, rows in by_model(point.model, np.arange(count), len(policies)):
             policies[number].problem.hold(point, point.beliefs.x[rows])
@@ -149,12 +153,12 @@ class DecisionPoint:
             As in `suggested`.
         """
         if place is None:
-            return self.nothing_at_all()
+            return self.nothing()
         robot, coming = int(self.robot[place]), attended == place and not arrived
         if robot or coming:
             return self.suggested(place, robot, arrived=not coming, against=against)
         self._require_none(place, against)
-        return self.nothing_for(place, attended)
+        return self.nothing(place, elsewhere=attended not in (None, place))
 
     def suggested(self, place: int, robot: int, *, arrived: bool, against: str | None = None) -> Explanation:
         """Return why a person is attended to, and why with this suggestion.
@@ -190,57 +194,53 @@ class DecisionPoint:
             asked = self._contrast(place, robot, step.step, name, float(self._chances(place)[slot]))
         return self._in_words(place, Explanation(step, person, None, asked))
 
-    def nothing_for(self, place: int, attended: int | None) -> Explanation:
-        """Return why a person has no suggestion.
+    def nothing(self, place: int | None = None, *, elsewhere: bool = False) -> Explanation:
+        """Return why there is no suggestion, to a person or to anybody.
 
         Parameters
         ----------
-        place : int
-        attended : int or None
-            Place of the person to whom the robot attends.
+        place : int, optional
+            The person's place.
+        elsewhere : bool
+            Whether the robot attends to somebody else.
         """
-        name, rule = self.names[place], self.rule
-        if self.ended[place]:
-            certain = self._certainly_ended(place)
-            return Explanation(nothing=WhyNothing("finished" if certain else "probably-finished", rule, about=name))
-        if rule == "none":
-            return Explanation(nothing=WhyNothing("never", rule, about=name))
-        if (asked := self.questions.get(place)) is not None:
-            return Explanation(nothing=WhyNothing("asked", rule, about=name, question=asked))
-        if rule == "reactive":
-            nothing = WhyNothing("mistake-elsewhere" if self.beliefs.erred[place] else "no-mistake", rule, about=name)
-            return Explanation(nothing=nothing)
-        prospect = self._prospects.get(place)
-        if prospect is None:
-            return Explanation(nothing=WhyNothing("no-step", rule, about=name))
-        return self._too_little(place, prospect, elsewhere=attended not in (None, place), about=name)
+        cause = next(one for one in CAUSES if one.when(self, place))
+        about = None if place is None else self.names[place]
+        why = WhyNothing(cause.key, self.rule, about=about, **cause.more(self, place))
+        if why.prospect is None:
+            return Explanation(nothing=why)
+        at = self.names.index(str(why.prospect.person))
+        return self._in_words(at, Explanation(nothing=replace(why, elsewhere=elsewhere)))
 
-    def _certainly_ended(self, place: int) -> bool:
+    # What causes look at.
+
+    @property
+    def working(self) -> NDArray[np.bool_]:
+        """Who is at work, shape (P,)."""
+        return self.present & ~self.ended
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Who is at work, and has neither a suggestion nor an open question, shape (P,)."""
+        free = self.working & (self.robot == 0)
+        free[list(self.questions)] = False
+        return free
+
+    def certainly_ended(self, place: int) -> bool:
         """Return whether a person has certainly reached their goal."""
-        return is_certain(self.beliefs.finished(place, self._at(place)[1]))
+        return bool(self.ended[place]) and is_certain(self.beliefs.finished(place, self._at(place)[1]))
 
-    def nothing_at_all(self) -> Explanation:
-        """Return why there is no suggestion."""
-        working = self.present & ~self.ended
-        if not working.any():
-            return Explanation(nothing=WhyNothing("nobody", self.rule))
-        if self.rule == "none":
-            return Explanation(nothing=WhyNothing("never", self.rule))
-        if not self._free.any():
-            asked = [one for k, one in self.questions.items() if working[k]]
-            cause: Cause = "asked" if asked else "waiting"
-            return Explanation(nothing=WhyNothing(cause, self.rule, question=asked[0] if asked else None))
-        if self.rule == "reactive":
-            return Explanation(nothing=WhyNothing("no-mistake", self.rule))
-        if not self._prospects:
-            return Explanation(nothing=WhyNothing("no-step", self.rule))
-        place = max(self._prospects, key=lambda one: self._prospects[one].score)
-        return self._too_little(place, self._prospects[place], elsewhere=False, about=None)
+    def asked(self, place: int | None) -> WhyQuestion | None:
+        """Return the open question to a person, or the first one if nobody can get a suggestion."""
+        if place is not None:
+            return self.questions.get(place)
+        return None if self.free.any() else next((one for k, one in self.questions.items() if self.working[k]), None)
 
-    def _too_little(self, place: int, prospect: Prospect, *, elsewhere: bool, about: str | None) -> Explanation:
-        exact = self.rule == "attention"
-        nothing = WhyNothing("cost", self.rule, prospect, exact=exact, elsewhere=elsewhere, about=about)
-        return self._in_words(place, Explanation(nothing=nothing))
+    def best(self, place: int | None) -> Prospect | None:
+        """Return the best suggestion to a person, or to anybody; None if there is none."""
+        if place is not None:
+            return self._prospects.get(place)
+        return max(self._prospects.values(), key=lambda one: one.score, default=None)
 
     def _in_words(self, place: int, explanation: Explanation) -> Explanation:
         _, policy, row = self._at(place)
@@ -326,7 +326,7 @@ class DecisionPoint:
     @cached_property
     def _beside(self) -> Floats:
         """What the robot actions towards each person are worth beside them to the policy, shape (P, R)."""
-        size, active = len(self.names), self.present & ~self.ended
+        size, active = len(self.names), self.working
         actions = max(policy.pomdp.suggested.shape[1] for policy in self.policies)
         team = TeamState(
             0, active[None], np.full((1, 1), BASE), self.model[None], self.beliefs.of(np.arange(size)), self.policies,
@@ -338,17 +338,10 @@ class DecisionPoint:
         """Return the Q-values of the robot actions towards some people of one policy, expected over task states."""
         return self.beliefs.expected(worth_of_actions, policy, places)
 
-    @property
-    def _free(self) -> NDArray[np.bool_]:
-        """Who is at work, and has neither a suggestion nor an open question."""
-        free = self.present & ~self.ended & (self.robot == 0)
-        free[list(self.questions)] = False
-        return free
-
     @cached_property
     def _prospects(self) -> dict[int, Prospect]:
         """The best suggestion to each person who is free to get one, if there is one."""
-        rows = np.flatnonzero(self._free)
+        rows = np.flatnonzero(self.free)
         found = {}
         for number, mine in by_model(self.model, rows, len(self.policies)):
             values = self._values(self.policies[number], mine)

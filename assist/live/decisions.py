@@ -106,7 +106,7 @@ class Decisions:
         if not all(places.under_way) and active.any():
             active, question = self._asking(active)
         points = [self.point(number, question) for number in range(len(places.at))]
-        advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all) for point in points]
+        advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing) for point in points]
         for number, location in enumerate(places.at):
             if places.under_way[number]:
                 going_to = self._team.records[location]

@@ -110,12 +110,11 @@ class Desk(Knowledge):
         if action is None and followed is not None:
             raise Refusal("other", why="followed: expected an action that was seen")
         entry = self.known(person)
-        stands = self.roster.suggestion(entry)
-        if followed and (stands is None or stands.lower() != in_pddl(action or "")):
-            said = "nothing is suggested" if stands is None else f"{stands} is suggested"
+        offer = entry.offer
+        if followed and (offer is None or offer.action.lower() != in_pddl(action or "")):
+            said = "nothing is suggested" if offer is None else f"{offer.action} is suggested"
             raise InapplicableError("other", why=f"followed is true and the action {action}, but {said}")
-        late = seq is not None and seq < entry.suggested
-        return not (stands is not None and late and followed is None)
+        return offer is None or seq is None or seq >= offer.number or followed is not None
 
     def in_pddl(self, action: str | None) -> str | None:
         """Return an action in PDDL notation."""
@@ -222,14 +221,14 @@ class Desk(Knowledge):
     def person(self, person: str) -> PersonState:
         """Return the state of a person, present or not, and the belief about the person."""
         record = self.entry(person)
-        k, row, problem = record.place, self.roster.row(record), record.problem
+        k, row, problem, offer = record.place, self.roster.row(record), record.problem, record.offer
         choices, pomdp, belief = problem.choices, problem.policy.pomdp, self.roster.belief[k].copy()
         names = () if self.roster.stopped(record) else tuple(
             choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))
         )  # fmt: skip
         return PersonState(
             person, bool(self.roster.present[k]), bool(self.roster.ended[k]), problem.state(row), names,
-            self.roster.suggestion(record), self.cost_to_go(person), len(record.steps), pomdp.grid,
+            None if offer is None else offer.action, self.cost_to_go(person), len(record.steps), pomdp.grid,
             pomdp.hidden, belief, pomdp.hidden.goals_shown(belief),
             {} if record.joint is None else record.joint.states(problem.policy), record.question,
             (record.told[-1].goal, record.told[-1].yes) if record.told else None,

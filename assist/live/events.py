@@ -307,7 +307,7 @@ class Elapsed(TeamEvent):
     @classmethod
     def due(cls, desk: Desk) -> Iterator[tuple[float, Self]]:
         """Yield one after some time without an event."""
-        yield desk.time + desk.setting.tick, cls()
+        yield desk.roster.time + desk.setting.tick, cls()
 
     def change(self, desk: Desk, time: float) -> None:
         """Let the robots decide again."""
@@ -330,7 +330,7 @@ class Paused(TeamEvent):
 
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
         """Pause or resume."""
-        desk.paused = self.paused
+        desk.roster.paused = self.paused
 
     def entry(self) -> dict[str, Any]:
         """Return whether suggestions were paused or resumed."""

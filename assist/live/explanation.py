@@ -9,19 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from ..declare.catalogue import FIRST, Catalogue, catalogue
 from ..declare.declared import AnyNumber, AnyText, Seldom, Truth, View, declared
+from .causes import CAUSES
 from .contrast import Contrast
-
-Cause = Literal[
-    "paused", "never", "finished", "probably-finished", "nobody", "waiting", "asked", "no-mistake",
-    "mistake-elsewhere", "no-step", "cost",
-]  # fmt: skip
-"""Why nothing is suggested; see `WhyNothing`."""
 
 
 @declared
@@ -128,16 +123,10 @@ class WhyNothing(View):
     """Why nothing is suggested, and what would have to change."""
 
     reason: Annotated[
-        Cause,
+        AnyText,
         Field(
-            description=(
-                '"paused": suggestions are paused. "never": the policy of the team makes none. "finished", "probably-'
-                'finished": the person has reached the goal, or probably has. "nobody": no one is at work. '
-                '"waiting": everybody at work has a suggestion. "asked": a question is open. "no-mistake", '
-                '"mistake-elsewhere": the policy "reactive" helps after mistakes, and there was none, or the '
-                'robot is with another person. "no-step": there is no step to suggest. "cost": the suggestion is '
-                "expected to save less than it costs, or the policy considers more than that."
-            )
+            description=" ".join(f'"{one.key}": {one.said}.' for one in CAUSES),
+            json_schema_extra={"enum": [one.key for one in CAUSES]},
         ),
     ]
     rule: Annotated[AnyText, Field(description="Name of the team's policy.")]
@@ -285,12 +274,12 @@ class Explanation(View):
         return say(f"{table}.{kind}", n=n, **values)
 
     def _nothing(self, say: Catalogue, why: WhyNothing) -> Iterator[str]:
-        if why.reason == "no-mistake":
-            yield say("nothing.no_mistake" if why.about is None else "nothing.no_mistake_of_yours")
-        elif why.question is not None:
+        if why.question is not None:
             yield from _asks(say, why.question, why.about)
         elif why.prospect is None:
-            yield say(f"nothing.{why.reason.replace('-', '_')}")
+            key = f"nothing.{why.reason.replace('-', '_')}"
+            yours = f"{key}_of_yours"
+            yield say(yours if why.about is not None and yours in say.texts else key)
         else:
             yield from self._too_little(say, why, why.prospect)
 

@@ -19,7 +19,6 @@ from ..people.decision import NOTHING
 from ..people.goals import Goals
 from ..people.ranges import Population
 from ..people.real_people import advice_takers
-from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..person.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy
@@ -76,10 +75,6 @@ class Knowledge:
 
     Attributes
     ----------
-    paused : bool
-        Whether the robots make no suggestions.
-    time : float
-        When something last happened, in seconds, or was tried to: time that passed without an effect, too.
     populations : dict of str to Population
         Priors of people who have others than the team's, by name.
     """
@@ -101,7 +96,7 @@ class Knowledge:
         self.policy = policy
         if policy == "rollout":
             self.setting.require_all_seen("policy 'rollout'")
-        self.tasks, self.populations, self.paused, self.time = tasks, dict[str, Population](), False, 0.0
+        self.tasks, self.populations = tasks, dict[str, Population]()
         self._advice: tuple[Advice, ...] | None = None
         self._step = 0
         self._places = RobotPlaces(self.setting, people, distance)
@@ -116,7 +111,7 @@ class Knowledge:
         ValueError
             It is not possible. Nothing has changed.
         """
-        self.roster.event, self.time = number, time
+        self.roster.event, self.roster.time = number, time
         self.roster.touched.clear()
         found = event.change(self, time)
         self._advice = None
@@ -155,6 +150,11 @@ class Knowledge:
         """Whether a person is in the team."""
         record = self.roster.by_name.get(person)
         return record is not None and bool(self.roster.present[record.place])
+
+    @property
+    def paused(self) -> bool:
+        """Whether the robots make no suggestions."""
+        return self.roster.paused
 
     @property
     def size(self) -> int:
@@ -247,17 +247,15 @@ class Knowledge:
         have been missed. After uncertain actions, the belief is over task states, too (`assist.person.JointBelief`).
         """
         record = self.roster.known(person)
-        k, problem, row = record.place, record.problem, self.roster.row(record)
+        problem, row, offer = record.problem, self.roster.row(record), record.offer if heard else None
         if self.roster.stopped(record):
             raise InapplicableError("reached", person=person)
-        robot = int(self.roster.robot[k]) if heard else 0
-        suggestion, still = problem.policy.pomdp.suggestion(row, robot), 0
         seen = seen_of(problem, self.setting, action, likelihoods, missed)
         shown = self.shown_of(person, action, heard=heard, uncertain=seen is not None)
         if seen is None and not is_uncertain(record, self.setting.observation):
             slot = problem.slot(row, action or "")
             to = problem.after(row, slot)
-            step = Step(problem.place(row), robot, slot, problem.choices.name(row, slot), suggestion, shown=shown)
+            step = Step(problem.place(row), offer, slot, problem.choices.name(row, slot), shown=shown)
             erred = believe(self.roster, record, step, self.setting)
         else:
             if seen is not None and likelihoods is not None:
@@ -265,14 +263,13 @@ class Knowledge:
             elif action is not None:
                 action = problem.named(action)
             doubtful = seen is not None or self.setting.observation is not None
-            step = Step(problem.place(row), robot, NOTHING, action, suggestion, seen, doubtful)
+            step = Step(problem.place(row), offer, NOTHING, action, seen, doubtful)
             erred = believe(self.roster, record, step, self.setting)
             to = self.roster.row(record)
-            if missed is not None and missed < 1 / 2:
-                still = int(same_suggestions(problem.policy.pomdp, np.array([row]), np.array([to]))[0, robot])
         record.did(step, time)
         record.close_questions()
-        self.roster.put(record, to, erred=erred, robot=still)
+        stays = missed is not None and missed < 1 / 2
+        self.roster.put(record, to, erred=erred, offer=offer if stays else None)
         if shown is not None:
             self.let_see(person, shown)
 
@@ -302,7 +299,6 @@ class Knowledge:
         taken = record.told.pop()
         erred = believe_again(self.roster, record, self.setting)
         record.close_questions()
-        record.reason = None
         self.roster.put(record, self.roster.row(record), erred=erred)
         return taken.yes
 
@@ -319,12 +315,13 @@ class Knowledge:
         record = self.known(person)
         if self.was_shown(person):
             self.forget_last(person)
-        last = record.undo()
+        last, roster = record.undo(), self.roster
+        again = None if last.offer is None else last.offer._replace(number=roster.event, time=roster.time)
         record.told[:] = [told._replace(steps=min(told.steps, len(record.steps))) for told in record.told]
         record.saw[:] = [saw._replace(steps=min(saw.steps, len(record.steps))) for saw in record.saw]
         erred = believe_again(self.roster, record, self.setting)
         record.close_questions()
-        self.roster.put(record, record.problem.row(last.place), erred=erred, robot=last.robot)
+        roster.put(record, record.problem.row(last.place), erred=erred, offer=again)
         return last.action
 
     def shown_of(self, person: str, action: str | None, *, heard: bool, uncertain: bool) -> Shown | None:
@@ -337,8 +334,8 @@ class Knowledge:
         """
         self._require_all_seen(uncertain=uncertain or action is None)
         record = self.known(person)
-        robot = int(self.roster.robot[record.place]) if heard else 0
-        return None if robot == 0 or action is None else shown_by(self.roster, record, action, robot)
+        offer = record.offer if heard else None
+        return None if offer is None or action is None else shown_by(self.roster, record, action, offer.robot)
 
     def _require_all_seen(self, *, uncertain: bool) -> None:
         if uncertain and self.roster.neighbours.needs_all_seen:
@@ -366,9 +363,9 @@ class Knowledge:
 
     def _believe_again(self, record: RosterEntry) -> None:
         """Compute the belief in a person again, after what they saw has changed."""
-        robot, row = int(self.roster.robot[record.place]), self.roster.row(record)
+        row = self.roster.row(record)
         erred = believe_again(self.roster, record, self.setting)
-        self.roster.put(record, row, erred=erred, robot=robot)
+        self.roster.put(record, row, erred=erred, offer=record.offer)
 
     def follow(self, advice: Sequence[Advice], step: int) -> tuple[Advice, ...]:
         """Apply the advice of each robot, as decided or from a record, and return it.
@@ -385,9 +382,7 @@ class Knowledge:
                 record = self.roster.by_name[one.person]  # who may have left while the robot was under way
                 self._places.put(number, record.place, under_way=not one.arrived)
                 if one.arrived:
-                    self.roster.suggest(record, one.suggestion)
-                if one.suggestion is not None:
-                    record.reason = one.reason
+                    self.roster.suggest(record, one.suggestion, one.reason)
         return self._advice
 
     def rearranged(self, distance: ArrayLike) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import cached_property
 from typing import Any, cast
 
@@ -151,6 +152,12 @@ class LiveTask:
         if not len(found):
             raise InapplicableError("other", why=f"{suggestion}: the robot cannot suggest this action here")
         return int(found[0])
+
+    def robot_at(self, row: int, suggestion: str) -> int:
+        """Return the robot action that suggests an action; 0 if the robot cannot suggest it there."""
+        with suppress(InapplicableError):
+            return self.robot(row, suggestion)
+        return 0
 
     def say(self, action: str) -> str:
         """Return an action in the domain's words, or in PDDL if it has none."""

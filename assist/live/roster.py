@@ -28,23 +28,44 @@ Said = tuple[str | None, str | None, bool]
 """An action and the suggestion before it, in PDDL notation, and whether the action is doubtful."""
 
 
-class Step(NamedTuple):
-    """A person's action: where it was taken, the robot action before it, its slot, and both actions in PDDL notation.
+class Offer(NamedTuple):
+    """A suggestion to a person that is open until they act: the robot action, the action in PDDL notation, and why.
 
-    `place` is a place of `LiveTask`. The suggestion is None if the robot action was none. `seen` is what was seen if
-    the action is uncertain: `likelihoods`, or the probability `missed` that one was missed. The action is then the
-    likeliest one, or None. It is also `doubtful` if the robot sees all actions unreliably. `shown` is what neighbours
-    saw.
+    `number` is that of the event after which it was made, and `time` when that was, in seconds.
+    """
+
+    robot: int
+    action: str
+    reason: Reason | None
+    number: int
+    time: float
+
+
+class Step(NamedTuple):
+    """A person's action: where it was taken, what was suggested before it, its slot, and the action in PDDL notation.
+
+    `place` is a place of `LiveTask`. `seen` is what was seen if the action is uncertain: `likelihoods`, or the
+    probability `missed` that one was missed. The action is then the likeliest one, or None. It is also `doubtful` if
+    the robot sees all actions unreliably. `shown` is what neighbours saw.
     """
 
     place: int
-    robot: int
+    offer: Offer | None
     slot: int
     action: str | None
-    suggestion: str | None
     seen: Mapping[str, Any] | None = None
     doubtful: bool = False
     shown: tuple[bool, float] | None = None
+
+    @property
+    def robot(self) -> int:
+        """The robot action before it; 0 for none."""
+        return 0 if self.offer is None else self.offer.robot
+
+    @property
+    def suggestion(self) -> str | None:
+        """What was suggested."""
+        return None if self.offer is None else self.offer.action
 
 
 class Told(NamedTuple):
@@ -116,10 +137,9 @@ class RosterEntry:
 
     `earlier` is the joint belief before the last action. `told` holds the answers about the goal of this task, and
     `asked` the kinds of questions since the last action. `done` holds the events of this task that can be taken back.
-    `tasks` names all tasks, the present one last, and `times` has the time of each action in them, in seconds. `reason`
-    is that of the last suggestion, and `reasons` that of the suggestion at each action of this task. `history` has the
-    time and the cost-to-go after each event of this task, infinite in dead ends. `seq`, `suggested` and `asked_at` are
-    the numbers of the last event that changed the person's view, and of those of the last suggestion and question.
+    `tasks` names all tasks, the present one last, and `times` has the time of each action in them, in seconds.
+    `history` has the time and the cost-to-go after each event of this task, infinite in dead ends. `seq` and `asked_at`
+    are the numbers of the last event that changed the person's view, and of that of the last question.
     `saw` is what the person saw of neighbours in this task, and `shown` how often neighbours may have seen the person.
     `order` has the number of the event of each action, and `since` that of the person's coming, or coming back, before
     it; `came` is that number now.
@@ -139,11 +159,8 @@ class RosterEntry:
     done: list[Any] = field(default_factory=list)
     tasks: list[str] = field(default_factory=list)
     times: array[float] = field(default_factory=lambda: array("d"))
-    reason: Reason | None = None
-    reasons: list[Reason | None] = field(default_factory=list)
     history: list[tuple[float, float]] = field(default_factory=list)
     seq: int = 0
-    suggested: int = 0
     asked_at: int = 0
     saw: list[Saw] = field(default_factory=list)
     shown: int = 0
@@ -157,24 +174,20 @@ class RosterEntry:
         self.times.append(time)
         self.order.append(self.team.event)
         self.since.append(self.came)
-        self.reasons.append(self.reason)
-        self.reason = None
 
     def undo(self) -> Step:
-        """Remove the last action, and return it; the suggestion before it has its reason again."""
+        """Remove the last action, and return it."""
         for each in (self.times, self.order, self.since):
             each.pop()
-        self.reason = self.reasons.pop()
         return self.steps.pop()
 
     def begin(self, problem: LiveTask, name: str) -> None:
         """Begin a task."""
         self.past.add(self.steps)
-        self.problem, self.steps, self.told, self.reason = problem, [], [], None
+        self.problem, self.steps, self.told = problem, [], []
         self.tasks.append(intern(name))
         self.done.clear()
         self.saw.clear()
-        self.reasons.clear()
         self.history.clear()
 
     @property
@@ -203,6 +216,11 @@ class RosterEntry:
     @question.setter
     def question(self, question: Question | None) -> None:
         _set(self.team.questions, self.place, question)
+
+    @property
+    def offer(self) -> Offer | None:
+        """The open suggestion."""
+        return self.team.offers.get(self.place)
 
     def log(self) -> Iterator[dict[str, Any]]:
         """Yield all actions as `fit` reads them, with their tasks and times; what was perhaps missed has no row.
@@ -264,16 +282,21 @@ class Roster:
         last action was not an optimal choice.
     questions : dict of int to Question
         Open questions by place.
+    offers : dict of int to Offer
+        Open suggestions by place.
     model : int array, shape (P,)
         Index of each person's task in `tasks`.
     robot : int array, shape (P,)
-        Robot action towards each person since their last action; 0 for none.
+        Robot action towards each person since their last action, that of their open suggestion; 0 for none.
     present, ended : bool arrays, shape (P,)
         Whether the person is present, and has (probably) reached the goal.
     neighbours : Neighbourhood
         What people see of each other, as far as the robots know.
-    event : int
-        Number of the present event.
+    event, time : int, float
+        Number of the present event, and when it happened, in seconds, or was tried to: time that passed without an
+        effect, too.
+    paused : bool
+        Whether the robots make no suggestions.
     touched : set of str
         The people of whom something else is known since the last event began.
     """
@@ -284,13 +307,15 @@ class Roster:
         self.records: list[RosterEntry] = []
         self.problems: list[LiveTask] = []
         self.questions: dict[int, Question] = {}
+        self.offers: dict[int, Offer] = {}
         self.by_name: dict[str, RosterEntry] = {}
         self.model, self.robot = np.zeros((2, places), dtype=np.int64)
         self.present, self.ended = np.zeros((2, places), dtype=bool)
         self.beliefs = Hidden(
             np.zeros(places, dtype=np.int64), np.zeros((places, 0, 0)), np.zeros(places, dtype=bool)
         )  # fmt: skip
-        self.neighbours, self.event, self.touched = NOBODY_SEES, 0, set[str]()
+        self.neighbours, self.event, self.time, self.touched = NOBODY_SEES, 0, 0.0, set[str]()
+        self.paused = False
         self._change = np.zeros(places, dtype=np.int64)
         self._answers: dict[Ask, _Answers] = {}
 
@@ -356,19 +381,20 @@ class Roster:
         """Return the row of a person in their present task, the most probable one."""
         return int(self.x[record.place])
 
-    def suggestion(self, record: RosterEntry) -> str | None:
-        """Return the open suggestion to a person, in PDDL notation."""
-        return record.problem.policy.pomdp.suggestion(self.row(record), int(self.robot[record.place]))
-
-    def suggest(self, record: RosterEntry, suggestion: str | None) -> None:
+    def suggest(self, record: RosterEntry, action: str | None, reason: Reason | None = None) -> None:
         """Open a suggestion to a person, or none."""
-        self.robot[record.place] = record.problem.robot(self.row(record), suggestion)
+        robot = record.problem.robot(self.row(record), action)
+        self._open(record, None if action is None else Offer(robot, action, reason, self.event, self.time))
+
+    def _open(self, record: RosterEntry, offer: Offer | None) -> None:
+        _set(self.offers, record.place, offer)
+        self.robot[record.place] = 0 if offer is None else offer.robot
 
     def ask(self, question: Question | None) -> None:
         """Open a question, if there is one and its person is known."""
         record = None if question is None else self.by_name.get(question.person)
         if question is not None and record is not None:
-            record.question = question
+            record.question, record.asked_at = question, self.event
             record.asked.add(question.kind)
 
     def resize(self, places: int) -> None:
@@ -384,13 +410,18 @@ class Roster:
             setattr(self.beliefs, name, longer(getattr(self.beliefs, name)))
         self._change, self._answers = longer(self._change), {}
 
-    def put(self, record: RosterEntry, row: int, *, erred: bool = False, robot: int = 0) -> None:
-        """Set the row of a person in their present task, and what led to it."""
+    def put(self, record: RosterEntry, row: int, *, erred: bool = False, offer: Offer | None = None) -> None:
+        """Set the row of a person in their present task, what led to it, and the suggestion that is open there.
+
+        A suggestion is withdrawn if it is not possible there.
+        """
         k, problem = record.place, record.problem
         if problem not in self.tasks:
             self.tasks.append(problem)
         self.model[k], self.x[k] = self.tasks.index(problem), row
-        self.erred[k], self.robot[k] = erred, robot
+        self.erred[k] = erred
+        robot = 0 if offer is None else problem.robot_at(row, offer.action)
+        self._open(record, offer._replace(robot=robot) if offer is not None and robot else None)
         problem.policy.problem.hold(record, self.x[k : k + 1].copy())
         self.ended[k] = self.finished(record) > 1 / 2
         self.changed(record)

@@ -28,7 +28,7 @@ from .advice import Advice, PersonState
 from .desk import IDLE, Desk
 from .event_base import Event, TeamEvent
 from .events import Elapsed, Left, kinds
-from .explanation import Explanation, WhyNothing
+from .explanation import Explanation
 from .history import Change, History
 from .names import is_name
 from .record import TeamRecord, without_in_view
@@ -128,11 +128,6 @@ class Team(History[TeamRecord]):
         self.count, self._advices = record.n, advices
         for name in self.touched(record):
             self.desk.entry(name).seq = self.count
-        for advice in advices:
-            if advice.question is not None:
-                self.desk.entry(advice.question.person).asked_at = self.count
-            if advice.person is not None and advice.suggestion is not None:
-                self.desk.entry(advice.person).suggested = self.count
         self.recent.extend(record.entries(advices))
 
     def touched(self, record: TeamRecord) -> set[str]:
@@ -210,7 +205,7 @@ class Team(History[TeamRecord]):
         return {
             "person": known.person, "task": entry.tasks[-1], "present": known.present, "paused": self.paused,
             "applicable": known.applicable, "suggestion": known.suggestion,
-            "reason": None if known.suggestion is None else entry.reason, "cost_to_go": known.cost_to_go,
+            "reason": None if entry.offer is None else entry.offer.reason, "cost_to_go": known.cost_to_go,
             "steps": known.steps, "finished": known.finished, "explained": True, "seq": entry.seq,
             "state_probability": known.states.get(known.state), "question": known.question,
             "answered": None if known.answered is None else GoalAnswer(*known.answered),
@@ -221,10 +216,6 @@ class Team(History[TeamRecord]):
 
         The function may be called from another thread, and then raises the errors of `Assistant.explain`.
         """
-        known = self._state(person)
-        if self.paused and known.suggestion is None and against is None:
-            paused = WhyNothing("paused", "", about=person)
-            return lambda: Explanation(nothing=paused)
         return self.desk.explain_later(person, against=against)
 
     def entry(self, person: str) -> dict[str, Any]:
@@ -275,9 +266,9 @@ class Team(History[TeamRecord]):
         if not self.paused and advice.person is not None:
             errand = {name: getattr(advice, name) for name in ("person", "suggestion", "reason", "arrived")}
         elif not self.paused and here is not None and self.desk.is_present(here) and self._attends(here) == number - 1:
-            suggestion = self._state(here).suggestion
-            if suggestion is not None:
-                errand = {"person": here, "suggestion": suggestion, "reason": self.desk.entry(here).reason}
+            offer = self.desk.entry(here).offer
+            if offer is not None:
+                errand = {"person": here, "suggestion": offer.action, "reason": offer.reason}
         asked = (one for one in self.desk.questions if self.desk.is_present(one.person)) if number == 1 else ()
         return RobotView(**errand, location=here, seq=self.count, questions=tuple(asked)).as_dict()
 

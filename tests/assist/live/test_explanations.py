@@ -7,7 +7,7 @@ import pickle
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,8 +30,8 @@ from assist.live import (
     WhyStep,
     contrast,
 )
+from assist.live.causes import CAUSES
 from assist.live.contrast import Consequence
-from assist.live.explanation import Cause
 from assist.live.live_task import LiveTask
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
@@ -584,7 +584,7 @@ def explanations() -> list[Explanation]:
         found.append(Explanation(now=WhyPerson(mine, True, False, (), "attention-outlook", sight)))
         found.append(found[-1].without_names())
     found.append(Explanation(WhyStep("(a)", 0.6, some)).in_state(0.8))
-    for reason in get_args(Cause):
+    for reason in (one.key for one in CAUSES):
         if reason in ("cost", "asked"):
             continue
         found += [Explanation(nothing=WhyNothing(reason, "reactive", about=one)) for one in (None, "ann")]
