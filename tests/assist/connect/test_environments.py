@@ -16,7 +16,7 @@ from conftest import kit
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils.conversions import parallel_to_aec
-from test_unknown_goals import TASKS
+from test_unknown_goals import three_goals
 
 from assist import Pool, simulate
 from assist.connect.gymnasium import ID, TeamEnv, TeamVectorEnv
@@ -106,7 +106,7 @@ def test_on_rows_that_grow_all_is_seen_as_on_the_whole_task(
 ) -> None:
     """The spaces are the same, and so is whatever is seen and received in many episodes of actions at random."""
     task, setting = (
-        (TASKS["tiny"] if options.pop("goals", False) else tiny),
+        (three_goals("tiny") if options.pop("goals", False) else tiny),
         Setting(c_suggest=0.1, max_steps=25, **options),
     )
     monkeypatch.setattr(truncated_policy, "ROWS", 30)
@@ -389,7 +389,7 @@ def test_of_two_robots_that_want_the_same_person_the_first_goes_there(tiny_choic
 def test_an_episode_is_the_simulators_where_goals_are_unknown(world: str) -> None:
     """A learner is shown the mean cost-to-go under its belief, as a team policy is."""
     setting = Setting(c_suggest=0.01, c_move=0.0, knowledge="exact", max_steps=30)
-    pool = Pool.sample(TASKS["tiny"], 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.4)))
+    pool = Pool.sample(three_goals("tiny"), 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.4)))
     for policy in ("reactive", "attention"):
         found = simulate(pool, policy, humans=2, episodes=EPISODES, seed=5, world=world)
         assert found.interventions.any()

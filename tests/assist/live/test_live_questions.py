@@ -15,7 +15,7 @@ from conftest import kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_uncertain_actions import NOISY
-from test_unknown_goals import LAPSE, SMALL, TASKS, Steps, by_enumeration
+from test_unknown_goals import LAPSE, SMALL, Steps, by_enumeration, three_goals
 
 from assist.declare import InapplicableError, Refusal
 from assist.live import Acted, Answered, Assistant, Began, Question, Session, Undone
@@ -24,13 +24,12 @@ from assist.person import ObservationModel, Setting
 from assist.team.questions import GoalQuestion
 from assist.team.state import NOBODY, TeamAction, TeamState
 
-TINY = TASKS["tiny"]
 ASKS = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01)
 BOTH = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01, observation=ObservationModel(0.05, 0.1))
 
 
-def desk(setting: Setting = ASKS, task: Any = TINY) -> Assistant:
-    return Assistant(task, ["ann"], setting=setting)
+def desk(setting: Setting = ASKS, task: Any = None) -> Assistant:
+    return Assistant(three_goals("tiny") if task is None else task, ["ann"], setting=setting)
 
 
 def asked(team: Assistant) -> Question:
@@ -56,7 +55,14 @@ def test_the_robot_asks_and_suggests_only_when_the_answer_is_there(setting: Sett
 def test_who_has_said_what_their_goal_is_is_known_as_if_it_had_been_known_before() -> None:
     goal = str(asked(team := desk()).goal)
     team.answer("ann", True)
-    known = desk(ASKS, Goals(dict(TINY.tables), {name: float(name == goal) for name in TINY.tables}, sharpness=1))
+    known = desk(
+        ASKS,
+        Goals(
+            dict(three_goals("tiny").tables),
+            {name: float(name == goal) for name in three_goals("tiny").tables},
+            sharpness=1,
+        ),
+    )
     for _ in range(3):
         action = team.recommend().suggestion
         assert action is not None
@@ -66,9 +72,9 @@ def test_who_has_said_what_their_goal_is_is_known_as_if_it_had_been_known_before
         np.testing.assert_allclose(team.person("ann").belief, known.person("ann").belief, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", ["tiny", "sealed"])
 def test_the_belief_after_answers_is_that_of_enumerated_histories(name: str) -> None:
-    goals, error, rng = TASKS[name], 0.1, np.random.default_rng(3)
+    goals, error, rng = three_goals(name), 0.1, np.random.default_rng(3)
     setting = replace(ASKS, c_ask=0.0, ask_error=error, lapse=LAPSE)
     team = Assistant(goals, ["ann"], setting=setting, population=SMALL)
     pomdp = team.roster.known("ann").problem.policy.pomdp
@@ -95,7 +101,7 @@ def test_who_has_said_what_their_goal_is_finishes_for_certain() -> None:
     told, silent = desk(), desk()
     goal = str(asked(told).goal)
     told.answer("ann", True)
-    for action in TINY.tables[goal].optimal_plan():
+    for action in three_goals("tiny").tables[goal].optimal_plan():
         told.observe("ann", action)
         silent.observe("ann", action)
     assert (told.finished, told.person("ann").applicable) == (True, ())
@@ -142,7 +148,7 @@ def test_answers_are_kept_when_actions_are_taken_back_and_saved(setting: Setting
     assert team.person("ann").goals[goal] == pytest.approx(0, abs=1e-12)
     team.begin("ann")
     asked(team)
-    again = Assistant.from_json(team.to_json(), TINY)
+    again = Assistant.from_json(team.to_json(), three_goals("tiny"))
     np.testing.assert_array_equal(again.person("ann").belief, team.person("ann").belief)
     assert (again.questions, again.recommend()) == (team.questions, team.recommend())
     assert json.loads(again.to_json()) == json.loads(team.to_json())
@@ -189,7 +195,7 @@ def test_who_has_named_another_goal_by_mistake_can_finish_their_own() -> None:
     team = desk()
     wrong = str(asked(team).goal)
     team.answer("ann", True)
-    for action in TINY.tables[wrong].optimal_plan():
+    for action in three_goals("tiny").tables[wrong].optimal_plan():
         team.observe("ann", action)
     assert (team.finished, team.person("ann").applicable) == (True, ())
     team.undo("ann", of="answered")
@@ -230,7 +236,7 @@ def test_what_was_done_last_is_asked_where_that_is_worth_more_than_it_costs() ->
 
 
 def test_a_policy_that_never_suggests_never_asks() -> None:
-    assert Assistant(TINY, ["ann"], setting=ASKS, policy="none").recommend().question is None
+    assert Assistant(three_goals("tiny"), ["ann"], setting=ASKS, policy="none").recommend().question is None
 
 
 EVENTS = st.lists(st.tuples(st.sampled_from("adlmuqnbr"), st.integers(0, 5), st.floats(0, 1)), max_size=8)
@@ -240,7 +246,7 @@ EVENTS = st.lists(st.tuples(st.sampled_from("adlmuqnbr"), st.integers(0, 5), st.
 @given(EVENTS)
 def test_a_session_of_doubtful_actions_and_answers_resumes_to_the_bit(tmp_path_factory: Any, moves: Any) -> None:
     journal = tmp_path_factory.mktemp("session") / "journal.sqlite"
-    session = Session(TINY, journal, setting=BOTH)
+    session = Session(three_goals("tiny"), journal, setting=BOTH)
     session.join("ann")
     session.join("bob")
     for kind, number, share in moves:
@@ -257,7 +263,7 @@ def test_a_session_of_doubtful_actions_and_answers_resumes_to_the_bit(tmp_path_f
         session.report_all([event])
     before = session.beliefs(), session.entry("ann"), session.entry("bob"), session.log(), session.outlook()
     session.close()
-    again = Session(TINY, journal, setting=BOTH)
+    again = Session(three_goals("tiny"), journal, setting=BOTH)
     assert (again.beliefs(), again.entry("ann"), again.entry("bob"), again.log(), again.outlook()) == before
     again.erase("ann", "asked for")
     assert b"ann" not in b"".join(file.read_bytes() for file in journal.parent.iterdir())
@@ -299,9 +305,9 @@ def test_malformed_reports_are_refused_in_one_sentence_and_change_nothing(tmp_pa
 
 
 def test_an_answer_to_an_earlier_question_is_refused(tmp_path: Path) -> None:
-    session = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS)
+    session = Session(three_goals("tiny"), tmp_path / "journal.sqlite", setting=ASKS)
     seen = session.join("ann")
-    assert seen["question"]["goal"] in TINY.tables
+    assert seen["question"]["goal"] in three_goals("tiny").tables
     later = session.observe("ann", seen["applicable"][0])
     assert "question" in later
     with pytest.raises(InapplicableError, match="there is a later question; expected an answer to that"):
@@ -325,7 +331,7 @@ class Failing:
 
 def test_nothing_is_asked_by_a_policy_that_fails(tmp_path: Path) -> None:
     policy = Failing()
-    session = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS, policy=policy)
+    session = Session(three_goals("tiny"), tmp_path / "journal.sqlite", setting=ASKS, policy=policy)
     assert "question" in session.join("bob")
     session.answer("bob", None)
     policy.fails = True
@@ -335,17 +341,17 @@ def test_nothing_is_asked_by_a_policy_that_fails(tmp_path: Path) -> None:
         session.answer("ann", True)
     policy.fails = False
     session.elapse()
-    assert session.person("ann")["question"]["goal"] in TINY.tables
+    assert session.person("ann")["question"]["goal"] in three_goals("tiny").tables
     answered = session.answer("ann", True)
     session.close()
-    again = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS, policy=policy)
+    again = Session(three_goals("tiny"), tmp_path / "journal.sqlite", setting=ASKS, policy=policy)
     assert again.person("ann") == answered
     again.close()
 
 
 def test_a_journal_with_an_answer_to_an_unrecorded_question_is_opened(tmp_path: Path) -> None:
     """Earlier versions saved an answer, but not its question, if the policy failed after asking."""
-    session = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS, policy=Failing())
+    session = Session(three_goals("tiny"), tmp_path / "journal.sqlite", setting=ASKS, policy=Failing())
     session.join("ann")
     believed = session.beliefs()
     session.answer("ann", True)
@@ -354,7 +360,7 @@ def test_a_journal_with_an_answer_to_an_unrecorded_question_is_opened(tmp_path: 
     session.close()
     with closing(sqlite3.connect(tmp_path / "journal.sqlite")) as db, db:
         db.execute("UPDATE events SET record = json_remove(record, '$.advice')")
-    again = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS, policy=Failing())
+    again = Session(three_goals("tiny"), tmp_path / "journal.sqlite", setting=ASKS, policy=Failing())
     assert (again.outlook().events, again.person("ann")["seq"]) == (last, last)
     assert again.beliefs() == believed
     again.close()

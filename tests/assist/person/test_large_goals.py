@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from teams import equal
-from test_unknown_goals import TASKS
+from test_unknown_goals import three_goals
 
 from assist.certify import upper_bound
 from assist.live import Assistant, TraceReasons
@@ -52,7 +52,7 @@ SLOW = {("whittle", "people"), ("none", "model"), ("priority", "people")}
     ],
 )
 def test_with_all_states_episodes_are_those_of_the_whole_task(policy: str, world: Any) -> None:
-    whole, part = pools(TASKS["tiny"], SETTING)
+    whole, part = pools(three_goals("tiny"), SETTING)
     assert isinstance(part.policies[0], TruncatedPolicy)
     found = [simulate(pool, policy, world=world, **OPTIONS) for pool in (whole, part)]
     assert equal(*found)
@@ -62,7 +62,7 @@ def test_with_all_states_episodes_are_those_of_the_whole_task(policy: str, world
 @pytest.mark.parametrize("knows", ["inferred", "likeliest", "known"])
 def test_of_whom_only_the_task_is_known(knows: Any) -> None:
     setting = Setting(c_suggest=0.05, c_move=0.1, max_steps=60, knowledge="exact")
-    found = [simulate(pool, "attention", goals=knows, **OPTIONS) for pool in pools(TASKS["tiny"], setting)]
+    found = [simulate(pool, "attention", goals=knows, **OPTIONS) for pool in pools(three_goals("tiny"), setting)]
     assert equal(*found)
     assert found[0].interventions.any()
 
@@ -71,7 +71,7 @@ def test_of_whom_only_the_task_is_known(knows: Any) -> None:
 @pytest.mark.parametrize("knowledge", ["own", "exact"])
 def test_values_with_all_states_are_those_of_the_whole_task(knowledge: Any, suggestions: Any) -> None:
     """For beliefs in all goals; the robot may suggest what is optimal for any of them."""
-    goals, rng = TASKS["tiny"], np.random.default_rng(4)
+    goals, rng = three_goals("tiny"), np.random.default_rng(4)
     setting = Setting(c_suggest=0.05, knowledge=knowledge, suggestions=suggestions)
     whole, part = (pool.policies[0] for pool in pools(goals, setting))
     x = np.arange(len(goals.tables["a"]))
@@ -90,7 +90,7 @@ def test_a_solver_of_ones_own_acts_for_people_with_several_goals(monkeypatch: py
         solved = qmdp(pomdp)
         return QMDP(pomdp, solved.value_mdp / 2, solved.q_mdp / 2)  # no other policy gives these
 
-    goals, rng = TASKS["tiny"], np.random.default_rng(4)
+    goals, rng = three_goals("tiny"), np.random.default_rng(4)
     sample = partial(Pool.sample, goals, 2, seed=1, setting=Setting(c_suggest=0.05), solver=by_halves)
     whole = sample().policies[0]
     monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 1)
@@ -106,11 +106,11 @@ def test_a_solver_of_ones_own_acts_for_people_with_several_goals(monkeypatch: py
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", ["attention", "priority"])
 def test_so_it_is_where_goals_have_dead_ends(policy: str) -> None:
-    assert equal(*(simulate(pool, policy, **OPTIONS) for pool in pools(TASKS["sealed"], SETTING)))
+    assert equal(*(simulate(pool, policy, **OPTIONS) for pool in pools(three_goals("sealed"), SETTING)))
 
 
 def test_a_small_part_is_nearly_as_good() -> None:
-    whole, part = pools(TASKS["sealed"], Setting(c_suggest=0.2, c_move=0.1, knowledge="exact"), region=40)
+    whole, part = pools(three_goals("sealed"), Setting(c_suggest=0.2, c_move=0.1, knowledge="exact"), region=40)
     options = {**OPTIONS, "episodes": 200}
     none, best, found = (
         simulate(pool, policy, **options).discounted_return.mean()
@@ -124,7 +124,7 @@ def test_a_small_part_is_nearly_as_good() -> None:
 
 def test_a_trace_has_the_same_goals_and_reasons() -> None:
     traces: list[list[dict[str, Any]]] = []
-    goals = TASKS["tiny"]
+    goals = three_goals("tiny")
     for pool in pools(goals, SETTING):
         trace: list[dict[str, Any]] = []
         reasons = TraceReasons(pool.policies, goals)
@@ -137,7 +137,7 @@ def test_a_trace_has_the_same_goals_and_reasons() -> None:
 
 
 def test_a_live_robot_infers_goals_of_a_large_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    goals, said, parts = TASKS["tiny"], list[list[Any]](), list[bool]()
+    goals, said, parts = three_goals("tiny"), list[list[Any]](), list[bool]()
     setting = Setting(c_suggest=0.05, c_move=0.0)
     for whole in (True, False):
         if not whole:
@@ -160,7 +160,7 @@ def test_a_live_robot_infers_goals_of_a_large_task(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("states", [4, 60])
 def test_a_truncated_task_of_all_goals_has_bounds_for_each(states: int) -> None:
     """Compared with the values on the whole task: of a robot that is told the goal, and of one that does nothing."""
-    goals = TASKS["sealed"]
+    goals = three_goals("sealed")
     part = TruncatedTask.of(goals, states=states)
     full, rows = goals.choices(), part.states
     np.testing.assert_array_equal(part.choices.goals.h, full.goals.h[:, rows])
@@ -188,7 +188,7 @@ def test_a_truncated_task_of_all_goals_has_bounds_for_each(states: int) -> None:
 
 def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
     """The value is bounded independently, on all states; with all of them, the problem is the same."""
-    goals, setting = TASKS["tiny"], Setting(gamma=0.9, c_suggest=0.05)
+    goals, setting = three_goals("tiny"), Setting(gamma=0.9, c_suggest=0.05)
     size = len(goals.tables["a"])
     problems = [PersonProblem.of(goals, states=states, setting=setting) for states in (size, 4, 12)]
     exact, *found = (solve(one.pomdp, gap=1e-2) for one in problems)
@@ -209,7 +209,7 @@ def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
 
 def test_a_truncated_task_holds_the_likeliest_states_of_all_goals() -> None:
     """With the whole prior on one goal it is that goal's, and misconceptions are the same for every goal."""
-    goals = TASKS["sealed"]
+    goals = three_goals("sealed")
     for number, (name, table) in enumerate(goals.tables.items()):
         certain = Goals(goals.tables, {other: float(other == name) for other in goals.tables})
         own, joint = (TruncatedTask.of(task, states=20) for task in (table, certain))
@@ -225,7 +225,7 @@ def test_a_truncated_task_holds_the_likeliest_states_of_all_goals() -> None:
 
 
 def test_the_size_of_a_part_counts_goals_and_memory() -> None:
-    goals = TASKS["sealed"]
+    goals = three_goals("sealed")
     assert default_size(goals.tables["a"]) == 20_000
     assert default_size(goals) == 20_000 // 3
     assert states_within(4000, range(50), 12) > 1_000 > states_within(4000, range(50), 100)
@@ -241,7 +241,7 @@ def test_the_size_of_a_part_counts_goals_and_memory() -> None:
 @pytest.mark.parametrize("policy", ["attention", "attention-never"])
 def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Questions about goals are worth as much, and so is help against none."""
-    goals, setting = TASKS["sealed"], Setting(c_suggest=0.2, c_move=0.1, c_ask=0.05, ask_error=0.1, max_steps=60)
+    goals, setting = three_goals("sealed"), Setting(c_suggest=0.2, c_move=0.1, c_ask=0.05, ask_error=0.1, max_steps=60)
     whole = Pool.sample(goals, 3, seed=1, setting=setting)
     monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 5)
     parts = [Pool.sample(goals, 3, seed=1, setting=setting, states=1, region=region) for region in (EVERYTHING, 20)]
@@ -252,7 +252,7 @@ def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.Monk
 
 
 def test_a_live_robot_asks_about_goals_of_a_large_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    goals, said = TASKS["sealed"], list[list[Any]]()
+    goals, said = three_goals("sealed"), list[list[Any]]()
     for whole in (True, False):
         monkeypatch.setattr(live, "is_whole", lambda _, whole=whole: whole)
         desk = Assistant(goals, ["ann", "bob"], setting=Setting(c_suggest=0.2, c_move=0.0, c_ask=0.02))
@@ -273,7 +273,7 @@ def test_a_live_robot_asks_about_goals_of_a_large_task(monkeypatch: pytest.Monke
 def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any) -> None:
     """It is at least that on all states, whose robot is told the goals as well, and above what policies reach."""
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge, gamma=0.9)
-    goals = TASKS["tiny"]
+    goals = three_goals("tiny")
     whole = Pool.sample(goals, 2, seed=1, setting=setting)
     exact = upper_bound(whole, gap=0.02)
     least = exact.upper - exact.slack
@@ -287,7 +287,7 @@ def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any) -> None
 
 
 def test_a_problem_has_as_many_states_as_a_solver_can_keep() -> None:
-    goals = TASKS["sealed"]
+    goals = three_goals("sealed")
     sizes = []
     for limit in (np.inf, 17.0, 1.0):
         found = PersonProblem.of(goals, states=100, memory_limit_mb=limit)

@@ -11,7 +11,7 @@ import pytest
 from conftest import graph_task, kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_unknown_goals import TASKS
+from test_unknown_goals import three_goals
 
 from assist import Pool
 from assist.people.belief import Grid
@@ -177,7 +177,7 @@ def check_values(alone: AssistPOMDP, gamma: float) -> None:
 @pytest.mark.parametrize("lapse", [0.0, 0.05])
 def test_both_forms_have_the_same_values(several: bool, rule: TrustRule | None, lapse: float) -> None:
     """They are held to 1e-9, with the Q-values, values of a given policy, and expected values of beliefs."""
-    choices = TASKS["tiny"].choices() if several else Choices.of(kit("tiny"))
+    choices = three_goals("tiny").choices() if several else Choices.of(kit("tiny"))
     pomdp = AssistPOMDP.of(
         replace(HumanModel.exact(choices), lapse=lapse),
         gamma=0.99,

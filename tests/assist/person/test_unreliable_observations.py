@@ -10,7 +10,7 @@ import pytest
 from conftest import invoke, kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_unknown_goals import SMALL, TASKS
+from test_unknown_goals import SMALL, three_goals
 
 from assist.declare.declared import plain
 from assist.people import Grid, HumanModel, ImpossibleObservationError
@@ -34,7 +34,7 @@ GRID = Grid(np.array([0.2, 1.5]), np.array([0.0, 0.4, 1.0]))
 
 
 def problem(several: bool) -> AssistPOMDP:
-    choices = TASKS["tiny"].choices() if several else Choices.of(kit("tiny"))
+    choices = three_goals("tiny").choices() if several else Choices.of(kit("tiny"))
     model = HumanModel.exact(choices, lapse=0.01)
     return AssistPOMDP.of(model, grid=GRID, suggestions="all", population=SMALL)
 
