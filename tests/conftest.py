@@ -26,6 +26,7 @@ from click.testing import CliRunner, Result
 from graphs import graph_task as graph_task
 from hypothesis import settings
 from numba.core import event
+from translator import Translator
 
 from assist.certify import computation
 from assist.certify.options import BoundOptions
@@ -45,6 +46,7 @@ from planner.pddl.instances import PDDLError
 from planner.pddl.validation import parsed
 from planner.system import progress
 from planner.system.limits import NO_LIMITS
+from planner.system.processes import python
 
 ROOT = Path(__file__).parent.parent
 TESTS = Path(__file__).parent
@@ -182,9 +184,18 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def the_same_texts_are_grounded_once(shared_folder: Path) -> None:
-    """Ground equal texts once, unless limits are given, since starting the translator takes time."""
-    translate = fast_downward.translate
+def the_same_texts_are_grounded_once(shared_folder: Path) -> Iterator[None]:
+    """Ground equal texts once, and start the translator once, unless limits are given, since its start takes time."""
+    translate, run = fast_downward.translate, fast_downward._run
+    translator: list[Translator] = []
+    program = python("fast_downward.translate")
+
+    def started_once(command: list[str], folder: str, text: str | None, limits: Limits) -> tuple[int, str]:
+        if command[: len(program)] != program or limits != NO_LIMITS:
+            return run(command, folder, text, limits)
+        if not translator:
+            translator.append(Translator())
+        return translator[0].run(command[len(program) :], folder) or run(command, folder, text, limits)
 
     def once(reading: reader.Reading, limits: Limits = NO_LIMITS) -> str:
         if limits != NO_LIMITS:
@@ -197,7 +208,11 @@ def the_same_texts_are_grounded_once(shared_folder: Path) -> None:
             part.replace(grounded)
         return grounded.read_text()
 
-    fast_downward.translate = once
+    fast_downward.translate, fast_downward._run = once, started_once
+    yield
+    fast_downward.translate, fast_downward._run = translate, run
+    for one in translator:
+        one.close()
 
 
 @pytest.fixture(scope="session")
