@@ -37,12 +37,12 @@ ROOMS = {
         influence_kernels type_kernels trust_rules neighbours neighbourhood sights theta_reach perceived_suggestions
         action_names signals""",
     "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings robot_actions
-        trust_shares pomdp assumptions visiting_robot problem_arrays people_arrays rows problem_rows policy lazy_policy
-        archive belief_filter belief_update dynamics_kernel dynamics joint_belief beliefs seen_beliefs hidden_beliefs
-        rounding action_values krylov sparse_iteration policy_iteration mdp_values expected_values qmdp solution_cache
-        alpha_vectors upper_hull convex_bound belief_hulls vector_lists hsvi search memory_needed further_beliefs
-        solver time_expansion
-        subproblem_frontier attention_subproblem frontier_bounds likely_states truncated_task state_cache closed_problem
+        trust_shares pomdp assumptions visiting_robot problem_arrays people_arrays rows problem_rows policy
+        rows_of_people lazy_policy archive belief_filter belief_update dynamics_kernel dynamics joint_belief
+        beliefs seen_beliefs hidden_beliefs rounding action_values krylov sparse_iteration policy_iteration
+        mdp_values expected_values qmdp solution_cache alpha_vectors upper_hull convex_bound belief_hulls
+        vector_lists hsvi search memory_needed further_beliefs solver time_expansion subproblem_frontier
+        attention_subproblem frontier_bounds likely_states truncated_task state_cache closed_problem
         growing_problem backups leaf_estimates compliance_relaxation truncated_bound truncated_policy
         person_problem""",
     "assist.team": """policy_names by_policy state action_check assignment seen baselines attention attention_never

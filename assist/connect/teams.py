@@ -18,10 +18,10 @@ from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
 from ..people.ranges import Population
 from ..person.pomdp import AssistPOMDP
+from ..person.rows_of_people import RowsOfPeople
 from ..person.seen_beliefs import Seen
 from ..person.settings import Setting
 from ..team.beginning import Beginning, Beginnings
-from ..team.by_policy import by_model
 from ..team.common_random_numbers import CommonRandomNumbers
 from ..team.engine import Engine, PeopleAtWork, StepTaken
 from ..team.model_group import ModelGroup, World
@@ -30,7 +30,6 @@ from ..team.robots_at_work import RobotsAtWork
 from ..team.schedule import Schedule
 from ..team.solving import MAX_ENUMERATED
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
-from ..team.task_view import RowsOfPeople
 
 if TYPE_CHECKING:
     from planner import AnyTask
@@ -131,6 +130,8 @@ class Teams:
     ----------
     engine : Engine
         The teams at work.
+    tasks : TasksOfPool
+        The people's tasks.
     x, finished, theta, people, model : arrays, shape (N, K)
         States and so on, as in `PeopleAtWork`; `people` are indices into the pool.
     erred : bool array, shape (N, K)
@@ -152,10 +153,10 @@ class Teams:
     ) -> None:
         pool.setting.require_all_seen("an environment")
         shape = (teams, places)
-        self.pool, self._beginnings, self._tasks = pool, Beginnings(pool, world), TasksOfPool(pool, world, shape)
+        self.pool, self._beginnings, self.tasks = pool, Beginnings(pool, world), TasksOfPool(pool, world, shape)
         self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
         self._prior = np.array([policy.pomdp.prior for policy in pool.policies])
-        self.people, self.model = np.zeros(shape, dtype=np.int64), self._tasks.model
+        self.people, self.model = np.zeros(shape, dtype=np.int64), self.tasks.model
         self.x, row, goal, seen = np.zeros((4, *shape), dtype=np.int64)
         self.theta, self.finished, self.erred = (
             np.zeros(shape),
@@ -174,7 +175,7 @@ class Teams:
             Seen(row.reshape(-1), flat, self.erred.reshape(-1)),
             RobotsAtWork(self.fleet, self.travel, teams),
         )
-        self.engine, self.location = Engine(self._tasks, them, robots, known), robots.location
+        self.engine, self.location = Engine(self.tasks, them, robots, known), robots.location
 
     @property
     def clock(self) -> Ints:
@@ -203,7 +204,7 @@ class Teams:
             As in `Beginnings.of`.
         """
         began, them = self._beginnings.of(people, draw), self.engine.people
-        self._tasks.begin(rows, people, began)
+        self.tasks.begin(rows, people, began)
         self.people[rows], them.goal[rows], them.theta[rows], them.seen[rows] = people, began.goal, began.theta, 0
         self.x[rows], self.finished[rows], self.erred[rows] = began.place, began.finished, False
         if self.belief is not None:
@@ -280,27 +281,10 @@ class Sight:
         self.models, farthest = len(pomdps), max(one.farthest for one in extents)
         paid = teams.pool.setting.max_steps * max(policy.dearest for policy in self._policies)
         self.largest = (farthest if np.isfinite(farthest) else paid) + 1.0
-        self._offset = np.cumsum([0, *(len(pomdp.robot_actions) for pomdp in pomdps[:-1])])
-        self._whole = all(policy.problem.complete for policy in self._policies)
-        self._of_all = dict[Callable[..., Any], NDArray[Any]]()
 
     def _of_people(self, what: Callable[[AssistPOMDP, Ints], NDArray[Any]]) -> NDArray[Any]:
-        """Return what holds in the rows of people, shape (N, K, ...); 0 for those who have finished.
-
-        `what` returns it for some rows of a problem. If these are all there from the start, it is computed once.
-        """
-        teams = self.teams
-        if self._whole:
-            if what not in self._of_all:
-                every = [(pomdp, np.arange(len(pomdp.robot_actions))) for pomdp in (p.pomdp for p in self._policies)]
-                self._of_all[what] = np.concatenate([what(*one) for one in every])
-            return self._of_all[what][self._offset[teams.model] + teams.x]
-        row, going = teams.row.reshape(-1), np.flatnonzero(~teams.finished)
-        found = what(self._policies[0].pomdp, np.zeros(1, dtype=np.int64))
-        found = np.zeros((row.size, *found.shape[1:]), dtype=found.dtype)
-        for number, flat in by_model(teams.model.reshape(-1), going, self.models):
-            found[flat] = what(self._policies[number].pomdp, row[flat])
-        return found.reshape(*teams.model.shape, *found.shape[1:])
+        """Return what holds in the row of each person, shape (N, K, ...); anything for those who have finished."""
+        return self.teams.tasks.data(what, self.teams.row, np.flatnonzero(~self.teams.finished))
 
     def _alone(self, pomdp: AssistPOMDP, rows: Ints) -> Floats:
         """Return the probabilities of doing what each robot action suggests, without it; shape (m, R, H).
@@ -360,11 +344,7 @@ class Sight:
 
     def _states(self) -> Ints:
         """Return the number of each person's state, shape (N, K); on an enumerated task, of a state with a memory."""
-        found = self.teams.x.copy()
-        if not self._whole:
-            for number, flat in by_model(self.teams.model.reshape(-1), np.arange(found.size), self.models):
-                found.reshape(-1)[flat] = self._policies[number].states(found.reshape(-1)[flat])
-        return found
+        return self.teams.tasks.numbered(self.teams.x)
 
 
 def _robot_actions(pomdp: AssistPOMDP, rows: Ints) -> Ints:

@@ -24,10 +24,10 @@ from ..people.same_costs import same_cost
 from ..person.beliefs import Beliefs
 from ..person.joint_belief import is_certain
 from ..person.policy import Policy
+from ..person.rows_of_people import by_model
 from ..person.settings import Setting
 from ..person.ties import first_best
 from ..team.baselines import NoAssistance
-from ..team.by_policy import by_model
 from ..team.outlook import beside
 from ..team.state import BASE, TeamPolicy, TeamState, worth_of_actions
 from .advice import Question

@@ -18,7 +18,7 @@ from ..people.neighbours import SeenEvent
 from ..person.beliefs import Ask
 from ..person.hidden_beliefs import Hidden
 from ..person.joint_belief import JointBelief, is_certain
-from ..team.by_policy import by_model
+from ..person.rows_of_people import by_model
 from .advice import Question, Reason
 from .live_task import LiveTask
 

@@ -84,7 +84,7 @@ class GrowingProblem(ProblemRows):
         Whether the effects of all suggestions on trust are computed with each row; if not, when they are first used.
     """
 
-    complete = False
+    complete, lasting = False, NONE
 
     def __init__(
         self, around: Callable[..., TruncatedTask], problem: Callable[[TruncatedTask], AssistPOMDP], initial: int, *,
@@ -142,17 +142,19 @@ class GrowingProblem(ProblemRows):
                 self._snapshot, self._version = self._taken(), self._rows.version
             return self._snapshot
 
-    def hear(self, x: Ints, robot: Ints) -> None:
+    def hear(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
         """Compute the effects of robot actions on trust in some rows, both of shape (N,), and what their targets need.
 
-        The rows are held.
+        The rows are held. What is returned is described in `ProblemRows`.
         """
+        said = np.flatnonzero(robot)
         with self._lock:
-            silent = np.flatnonzero(~self._rows["heard"][x, robot])
-            if len(silent):
-                x = x[silent]
-                then = self._rows.place_of[self._then(x)[np.arange(len(x)), robot[silent]]]
-                self._learn(np.unique(self._rows.place_of[x]), then=then)
+            then = self._then(x[said])[np.arange(len(said)), robot[said]]
+            silent = ~self._rows["heard"][x[said], robot[said]]
+            if silent.any():
+                places = self._rows.place_of
+                self._learn(np.unique(places[x[said][silent]]), then=places[then[silent]])
+            return np.concatenate([np.arange(len(x)), said]), np.concatenate([x, then])
 
     def q_values(self, name: str, backup: Backup, position: int, x: Ints, belief: Floats) -> Floats:
         """Return the Q-values of robot actions, shape (N, R), for people in some rows; minus infinity in padding.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
+from .rows import NONE
 
 Ints = NDArray[np.int64]
 
@@ -44,10 +45,13 @@ class ProblemRows(Protocol):
         Whether all places have rows, of which everything is known.
     first : AssistPOMDP
         The problem before anybody has come to another place than the initial one; the whole problem if complete.
+    lasting : int array
+        The rows of which everything is known and stays known: all of them, or none.
     """
 
     complete: bool
     first: AssistPOMDP
+    lasting: Ints
 
     @property
     def now(self) -> Snapshot:
@@ -74,8 +78,13 @@ class ProblemRows(Protocol):
         """Return the place of each row, shape (N,)."""
         ...
 
-    def hear(self, x: Ints, robot: Ints) -> None:
-        """Compute what robot actions do to trust in some rows, both of shape (N,), where it is not known yet."""
+    def hear(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
+        """Compute what robot actions do to trust in some rows, both of shape (N,), where it is not known yet.
+
+        Return the rows, shape (m,), whose choices decide what happens and which are not lasting, after the index of the
+        robot action for each: the person's own row, and that to which a suggestion or an execution leads.
+        """
+        ...
 
 
 class WholeProblem(ProblemRows):
@@ -89,7 +98,7 @@ class WholeProblem(ProblemRows):
     complete = True
 
     def __init__(self, pomdp: AssistPOMDP) -> None:
-        self.first = pomdp
+        self.first, self.lasting = pomdp, np.arange(len(pomdp.robot_actions))
 
     @cached_property
     def now(self) -> Snapshot:
@@ -109,5 +118,7 @@ class WholeProblem(ProblemRows):
         """Return the rows."""
         return rows
 
-    def hear(self, x: Ints, robot: Ints) -> None:
-        """Do nothing: all is known."""
+    def hear(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
+        """Return no rows: all is known."""
+        del x, robot
+        return NONE, NONE

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..people.decision import NOTHING
 from ..people.user_code import UserCodeError
-from .by_policy import by_model
+from ..person.rows_of_people import by_model
 from .state import BASE, NOBODY, TeamAction, TeamState
 
 

@@ -1,38 +1,14 @@
-"""The people of each policy, and data about them that are computed on first use."""
+"""Data about the people of each policy that are computed on first use."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
-from itertools import pairwise
 from typing import Generic, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ..person.policy import Policy
 
 T = TypeVar("T")
-
-
-def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> list[tuple[int, NDArray[np.int64]]]:
-    """Return each model that occurs among some people, with the indices of its people.
-
-    Parameters
-    ----------
-    model : int array, shape (N,)
-        Model of each person.
-    rows : int array, shape (m,)
-        Indices of the people to consider.
-    models : int
-        Number of models.
-    """
-    if models == 1:  # no sorting is necessary
-        return [(0, rows)] if len(rows) else []
-    own = model[rows]
-    order = own.astype(np.uint16 if models <= 2**16 else np.int64).argsort(kind="stable")  # fast for small numbers
-    ends, grouped = np.bincount(own, minlength=models).cumsum().tolist(), rows[order]
-    return [(number, grouped[at:end]) for number, (at, end) in enumerate(pairwise([0, *ends])) if at < end]
 
 
 class ByPolicy(Generic[T]):

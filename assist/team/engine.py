@@ -33,7 +33,7 @@ from ..person.beliefs import Beliefs
 from ..person.people_arrays import PeopleArrays
 from ..person.problem_arrays import Acts
 from ..person.robots import NOTHING_DONE
-from .by_policy import by_model
+from ..person.rows_of_people import by_model
 from .parts import Draws, Tasks
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent

@@ -70,8 +70,7 @@ class ModelGroup:
         self._p, self._perceived = np.empty((minds, 0, 0)), np.empty((minds, 0, 0))
         self._model = PersonModel.of(self.policy)
         self._problem = self.policy.problem
-        if self._problem.complete:
-            rows = np.arange(len(pomdp.robot_actions))
+        if len(rows := self._problem.lasting):
             self._reserve(len(rows), self.arrays)
             self._work_out(np.arange(minds), rows, pomdp)
 
@@ -97,35 +96,30 @@ class ModelGroup:
 
     def act(self, rows: Ints, people: PeopleArrays) -> None:
         """Let the people of some rows, all of this model, act once."""
-        model, minds, perceived = self.model, self._minds, self._perceived
-        if not self._problem.complete:
-            model, minds, perceived = self._ready(people.who[rows], people.x[rows], people.robot[rows])
+        at, there = self._problem.hear(people.x[rows], people.robot[rows])
+        model, minds, perceived = self._ready(people.who[rows[at]], there)
         if self._rule is None:
             act(rows, people, minds, model.arrays)
         else:
             TrustOfPeople(self._rule, perceived, model.optimal).act(rows, people, minds, model.arrays)
 
-    def _ready(self, who: Ints, x: Ints, robot: Ints) -> tuple[PersonModel, Minds, Floats]:
-        """Compute what people would choose where they are and where robot actions lead, and what these do to trust."""
-        said = np.flatnonzero(robot)
-        self._problem.hear(x[said], robot[said])
+    def _ready(self, who: Ints, x: Ints) -> tuple[PersonModel, Minds, Floats]:
+        """Compute what some people would choose in some rows, both of shape (N,), where it is not known yet."""
+        if not len(who):
+            return self.model, self._minds, self._perceived
         with self._lock:
             stamps, model = self._problem.now.stamps, self.model
-            pomdp, arrays = model.pomdp, model.arrays
-            slot, there = arrays.suggested[x[said], robot[said]], arrays.afterstate[x[said], robot[said]]
-            then = np.where(slot < 0, there, arrays.targets[x[said], np.maximum(slot, 0)])
-            who, x = np.concatenate([who, who[said]]), np.concatenate([x, then])
-            self._reserve(len(stamps), arrays)
+            self._reserve(len(stamps), model.arrays)
             new = self._stamps[who, x] != stamps[x]
             if new.any():
-                self._work_out(np.unique(who[new]), np.unique(x[new]), pomdp)
+                self._work_out(np.unique(who[new]), np.unique(x[new]), model.pomdp)
             return model, self._minds, self._perceived
 
     def _reserve(self, rows: int, arrays: ProblemArrays) -> None:
         """Make room for the choices in a number of rows of a problem."""
         minds, slots = self._stamps.shape[0], arrays.chosen.shape[1]
         if rows > self._stamps.shape[1] or slots > self._p.shape[2]:
-            room = rows if self._problem.complete else max(2 * rows, self._stamps.shape[1])
+            room = max(rows, 2 * self._stamps.shape[1])
             self._stamps = _larger(self._stamps, (minds, room), -1)
             self._p = _larger(self._p, (minds, room, slots), 0.0)
             if self._of_people:
@@ -141,8 +135,7 @@ class ModelGroup:
         if not self._of_people:
             self._p[:, rows, slots] = np.moveaxis(pomdp.chosen[rows], 2, 0)
             return
-        choices = pomdp.model.choices
-        each = (choices if self._problem.complete else _around(choices, rows)).of_each_goal
+        each = _around(pomdp.model.choices, rows).of_each_goal
         for mind in minds.tolist():
             person, goal = divmod(mind, self._goals)
             p, v, q = _mind(self._people[person], each[goal])
@@ -152,7 +145,12 @@ class ModelGroup:
 
 
 def _around(choices: Choices, rows: NDArray[np.int64]) -> Choices:
-    """Return the choices in some rows, shape (N,), which come first; their successors follow without choices."""
+    """Return the choices in some rows, shape (N,), which come first; their successors follow without choices.
+
+    The choices in all rows are what they are.
+    """
+    if len(rows) == len(choices):
+        return choices
     after = np.unique(choices.targets[rows])
     every, count = np.concatenate([rows, after]), len(rows)
     leaf = np.arange(len(every)) >= count

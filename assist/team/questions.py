@@ -21,10 +21,11 @@ from ..person.beliefs import Beliefs
 from ..person.joint_belief import JointBelief, expected_answers
 from ..person.policy import OfRows, Policy
 from ..person.qmdp import qmdp
+from ..person.rows_of_people import by_model
 from ..person.settings import Setting
 from ..person.ties import NEAR, first_best
 from .attention_never import without_help
-from .by_policy import ByPolicy, by_model
+from .by_policy import ByPolicy
 from .state import worth_of_actions
 
 

@@ -32,11 +32,12 @@ from ..person.people_arrays import Minds, PeopleArrays
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..person.robots import NOTHING_DONE
+from ..person.rows_of_people import by_model
 from ..person.seen_beliefs import Seen
 from ..person.ties import NEAR, first_best, ranked
 from ..person.time_expansion import AWAY, HERE
 from ..person.travel import Travel
-from .by_policy import ByPolicy, by_model
+from .by_policy import ByPolicy
 from .engine import Engine, PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork

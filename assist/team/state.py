@@ -24,8 +24,8 @@ from ..person.beliefs import Ask, Beliefs
 from ..person.fleet import Fleet
 from ..person.policy import Policy
 from ..person.robots import EXECUTION, NOTHING_DONE, SUGGESTION, Robot
+from ..person.rows_of_people import by_model
 from ..person.travel import Travel
-from .by_policy import by_model
 
 BASE = -1
 """The robot's place before it has gone to a person; also the index of the base in a distance matrix."""

@@ -7,41 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..person.policy import Policy
+from ..person.rows_of_people import RowsOfPeople, by_model
 from .beginning import Beginning
-from .by_policy import by_model
 from .model_group import Ints, ModelGroup
-
-
-class RowsOfPeople:
-    """The rows of people in the problems of their policies; it holds those that it was asked for last.
-
-    Parameters
-    ----------
-    policies : sequence of Policy
-    model : int array, shape (N, K)
-        Index of each person's policy.
-    """
-
-    def __init__(self, policies: Sequence[Policy], model: Ints) -> None:
-        self.policies, self.model = policies, model
-        self._grows = np.array([not policy.problem.complete for policy in policies])
-
-    def rows(self, places: Ints, active: Ints) -> Ints:
-        """Return the row of each person, shape (N, K); of people who are not active, any row.
-
-        Parameters
-        ----------
-        places : int array, shape (N, K)
-        active : int array
-            Active people, as indices of the flattened `places`.
-        """
-        if not self._grows.any():
-            return places
-        found, grows = places.reshape(-1).copy(), self._grows[self.model].reshape(-1)
-        found[grows] = 0
-        for number, flat in by_model(self.model.reshape(-1), active[grows[active]], len(self.policies)):
-            found[flat] = self.policies[number].rows(places.reshape(-1)[flat], self)
-        return found.reshape(places.shape)
 
 
 class TaskView(RowsOfPeople):

@@ -23,9 +23,9 @@ from assist.person import person_problem, truncated_policy
 from assist.person.assumptions import Assumptions
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.person.rows_of_people import by_model
 from assist.person.settings import Setting
 from assist.team.belief_trace import Watched
-from assist.team.by_policy import by_model
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
 from planner import CostToGo, OnDemand, Table, cost_to_go, load
