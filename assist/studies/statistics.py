@@ -8,7 +8,6 @@ simulated with the same people and random numbers, so comparisons are paired. Wh
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,14 +39,14 @@ class Comparison:
         Two-sided p-value of Student's t-test of the same difference.
     hedges_g : IntervalEstimate
         The difference in standard deviations (Cohen's d) with Hedges' small-sample correction (1981).
-    t, freedom : float
-        The test's statistic, and its degrees of freedom.
+    error, freedom : float
+        The standard error of the difference, and its degrees of freedom.
     """
 
     difference: IntervalEstimate
     p: float = math.nan
     hedges_g: IntervalEstimate = NONE
-    t: float = math.nan
+    error: float = math.nan
     freedom: float = math.nan
 
     @classmethod
@@ -59,7 +58,17 @@ class Comparison:
             return cls(IntervalEstimate(value))
         t = value / error
         p = float(2 * scipy.special.stdtr(freedom, -abs(t)))
-        return cls(IntervalEstimate.of(value, error, freedom, level), p, hedges_g, t, freedom)
+        return cls(IntervalEstimate.of(value, error, freedom, level), p, hedges_g, error, freedom)
+
+    @property
+    def t(self) -> float:
+        """The test's statistic."""
+        return self.difference.value / self.error
+
+    @property
+    def detectable(self) -> float:
+        """The difference that four of five studies show, with as many values of the same variance."""
+        return detectable(self.freedom, 1 / self.error)
 
 
 # Means and their ratios.
@@ -140,14 +149,12 @@ def between_groups(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Compariso
     value = float(x.mean() - y.mean()) if len(x) and len(y) else math.nan
     if min(len(x), len(y)) < 2 or x.var() + y.var() == 0:
         return Comparison(IntervalEstimate(value))
-    with warnings.catch_warnings(action="ignore"):  # of a group whose values are all equal, which is no fault
-        found = scipy.stats.ttest_ind(x, y, equal_var=False)
-        ends = found.confidence_interval(level)
+    own, other = x.var(ddof=1) / len(x), y.var(ddof=1) / len(y)
+    freedom = float((own + other) ** 2 / (own**2 / (len(x) - 1) + other**2 / (len(y) - 1)))
     together = len(x) + len(y) - 2
     pooled = math.sqrt(((len(x) - 1) * x.var(ddof=1) + (len(y) - 1) * y.var(ddof=1)) / together)
-    between = IntervalEstimate(value, float(ends.low), float(ends.high))
     effect = standardised(value / pooled, together, math.sqrt(len(x) * len(y) / (len(x) + len(y))), level)
-    return Comparison(between, float(found.pvalue), effect, float(found.statistic), float(found.df))
+    return Comparison.of(value, math.sqrt(own + other), freedom, level, effect)
 
 
 def standardised(d: float, freedom: float, scale: float, level: float = 0.95) -> IntervalEstimate:
@@ -202,18 +209,19 @@ def fisher_p(successes: int, n: int, other: int, m: int) -> float:
     return float(scipy.stats.fisher_exact(table)[1]) if n and m else math.nan
 
 
-def detectable(freedom: int, scale: float, power: float = 0.8, level: float = 0.95) -> float:
-    """Return the smallest standardised difference that a t-test detects with this power.
+def detectable(freedom: float, scale: float, power: float = 0.8, level: float = 0.95) -> float:
+    """Return the smallest difference that a t-test detects with this power.
 
     Parameters
     ----------
-    freedom : int
+    freedom : float
         Degrees of freedom; without any, the result is NaN.
     scale : float
-        The test's statistic for a standardised difference of 1; of groups of n and m, sqrt(n m / (n + m)).
+        The test's statistic for a difference of 1, which is 1 / its standard error. Of groups of n and m and differences
+        in standard deviations, it is sqrt(n m / (n + m)).
     power, level : float
     """
-    if freedom < 1:
+    if not (freedom >= 1 and math.isfinite(scale)):
         return math.nan
     critical = float(scipy.special.stdtrit(freedom, (1 + level) / 2))
 

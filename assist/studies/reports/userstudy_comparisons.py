@@ -16,6 +16,7 @@ from planner.system.files import finite
 from ...learning.intervals import NONE, IntervalEstimate, holm, wilson
 from ..repeated_measures import detectable_within, means_within, mixed_model, within_participants
 from ..statistics import (
+    Comparison,
     RankTest,
     between_groups,
     detectable,
@@ -80,9 +81,9 @@ def _compared(data: StudyData, measure: Measure, condition: str, periods: dict[t
         found = within_participants(pairs, when)
     else:
         found = between_groups(a, b)
-    difference, effect, p, t, freedom = found.difference, found.hedges_g, found.p, found.t, found.freedom
+    difference, effect, p = found.difference, found.hedges_g, found.p
     if data.are_shares(measure):
-        effect, t, freedom = NONE, math.nan, math.nan
+        found, effect = Comparison(difference), NONE
         if study.is_within:
             p = sign_test(sum(pair > 0 for pair in pairs), sum(pair < 0 for pair in pairs)).p
         else:
@@ -91,8 +92,8 @@ def _compared(data: StudyData, measure: Measure, condition: str, periods: dict[t
     span = measure.ends[1] - measure.ends[0]
     return {
         **difference.within(-span, span).record(), "hedges_g": finite(effect.value),
-        "hedges_g_low": finite(effect.low), "hedges_g_high": finite(effect.high), "t": finite(t),
-        "df": finite(freedom), "p": finite(p),
+        "hedges_g_low": finite(effect.low), "hedges_g_high": finite(effect.high), "t": finite(found.t),
+        "df": finite(found.freedom), "p": finite(p), "detectable": finite(found.detectable),
     }  # fmt: skip
 
 

@@ -208,7 +208,8 @@ class ReportWording(Wording):
                 effect = "" if g["mean"] is None else self.interval(g, 2)
                 t = "" if other["t"] is None else f"{self.number(other['t'])} ({self.texts.decimal(other['df'], 1)})"
                 word = self.texts.phrase(f"report.{shown}")
-                yield [one["label"], other["condition"], self.interval(other), t, effect, self.p_value(p), word]
+                least = self.number(other["detectable"], "")
+                yield [one["label"], other["condition"], self.interval(other), t, effect, self.p_value(p), word, least]
 
     def spread_rows(self, measures: Iterable[dict[str, Any]]) -> Iterator[list[str]]:
         """Yield the rows of a table with the standard deviation and the median of each measure in each condition."""

@@ -427,12 +427,14 @@ def test_differences_have_their_statistic_and_the_interval_of_the_effect(tmp_pat
     a, b = ([row[3] for row in rows if row[0] == name] for name in ("attention", "none"))
     peer = stats.ttest_ind(a, b, equal_var=False)
     assert (found["t"], found["df"]) == pytest.approx((peer.statistic, peer.df))
+    power = 1 - stats.nct.cdf(stats.t.ppf(0.975, peer.df), peer.df, found["detectable"] * found["t"] / found["mean"])
+    assert power == pytest.approx(0.8)  # of a t-test, if the true difference is the detectable one
     pooled = stats.ttest_ind(a, b).statistic
     for end, p in (("hedges_g_low", 0.975), ("hedges_g_high", 0.025)):
         size = found[end] / (1 - 3 / 47) * math.sqrt(7 / 2)
         assert stats.nct.cdf(pooled, 12, size) == pytest.approx(p, abs=1e-4)
     (completed,) = next(one for one in summary["measures"] if one["measure"] == "completion")["differences"]
-    assert (completed["t"], completed["df"], completed["hedges_g_low"]) == (None, None, None)
+    assert [completed[name] for name in ("t", "df", "hedges_g_low", "detectable")] == [None] * 4
 
 
 def exported(folder: Path, tables: Tables, text: str = CONFIRMED) -> Path:
@@ -511,7 +513,7 @@ def test_what_is_shown_is_said_in_the_same_words_by_all_tests(tmp_path: Path) ->
     (actions,) = [
         line for line in confirmatory.splitlines() if line.startswith("| actions per task | attention | 11.0 (")
     ]
-    assert actions.endswith("| < .001 | more |")
+    assert actions.endswith("| < .001 | more | 1.02 |")
     (trust,) = [
         line for line in confirmatory.splitlines() if line.startswith("| trust: mean, 1 to 7 | attention | 0.0 (")
     ]
