@@ -19,6 +19,7 @@ from .options.task import costs_of
 from .terminal.console import ExitCode, fail, note, print_json
 
 if TYPE_CHECKING:
+    from ..studies.userstudy.forecast import Forecast
     from ..studies.userstudy.plan import UserStudy
 
 
@@ -34,12 +35,12 @@ if TYPE_CHECKING:
 def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool, public_url: str | None) -> None:
     """Preregister a user study, or sign the links of its participants.
 
-    The registration holds FILE.toml, and digests of it and of the analysis. The report states what has changed. A
-    policy that hardly suggests anything in simulated
-    episodes is named on stderr.
+    The registration holds FILE.toml, and digests of it and of the analysis. The report states what has changed. Which
+    differences the study can show is said on stderr, by simulation, and which policy hardly suggests anything.
     """
     from planner.system.errors import InputFileError
 
+    from ..declare.declared import plain
     from ..studies.reports.preregistration import register
     from ..studies.userstudy.plan_file import read
 
@@ -51,10 +52,13 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
             if data is None and not check:
                 raise click.UsageError("expected --data DIR, the folder of the study, or --check")
             record = None if check or data is None else register(study, data)
-            for text in _remarks(study):
+            forecast = _forecast(study)
+            for text in _remarks(forecast):
                 note(text)
             if record is None:
-                print_json({"study": str(file), "places": study.participants, "comparisons": study.comparisons})
+                shown = [plain(one) for one in forecast.sensitivity()]
+                counts = {"places": study.participants, "comparisons": study.comparisons}
+                print_json({"study": str(file), **counts, "sensitivity": shown})
                 note(f"{file} can be carried out; nothing is registered yet")
             else:
                 print_json({name: value for name, value in record.items() if name != "text"})
@@ -77,20 +81,27 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
     writer.writerows((one, participant_url(access, one, data)) for one in ids)
 
 
-def _remarks(study: UserStudy) -> Iterator[str]:
-    """Yield what is possible, but hardly meant: unequal groups, and policies that hardly assist."""
-    from ..studies.userstudy.forecast import seldom_assisted
+def _forecast(study: UserStudy) -> Forecast:
+    """Return simulated participants of a study, whose tasks are solved first."""
+    from ..studies.userstudy.forecast import Forecast
 
+    tasks = {
+        name: costs_of(instance, max_states=SolveOptions.max_states, memory_limit_mb=None)
+        for name, instance in study.tasks
+    }
+    return Forecast.of(study, tasks)
+
+
+def _remarks(forecast: Forecast) -> Iterator[str]:
+    """Yield what the study can show, and what is hardly meant: unequal groups, and policies that hardly assist."""
+    study = forecast.study
     orders, size = len(study.orders), 1 if study.group is None else study.group.size
     if study.participants is not None and study.participants % (orders * size):
         what, equal = "orders of conditions" if study.is_within else "conditions", orders * size
         said = f"{orders} {what} get unequal numbers; expected a multiple of {equal} for equal ones"
         yield f"participants {study.participants}: {said}"
-    tasks = {
-        name: costs_of(instance, max_states=SolveOptions.max_states, memory_limit_mb=None)
-        for name, instance in study.tasks
-    }
-    for one, assisted in seldom_assisted(study, tasks):
+    yield from map(str, forecast.sensitivity())
+    for one, assisted in forecast.seldom_assisted():
         costs = f"c_suggest {one.setting.c_suggest:g}, c_move {one.setting.c_move:g}"
         said = f"{one.name} suggests something to {assisted:.0f} % of simulated people"
         yield f"{said}: hardly any suggestion is worth its cost ({costs}); set lower costs in the table `setting`"

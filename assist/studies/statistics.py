@@ -217,8 +217,8 @@ def detectable(freedom: float, scale: float, power: float = 0.8, level: float = 
     freedom : float
         Degrees of freedom; without any, the result is NaN.
     scale : float
-        The test's statistic for a difference of 1, which is 1 / its standard error. Of groups of n and m and differences
-        in standard deviations, it is sqrt(n m / (n + m)).
+        The test's statistic for a difference of 1, which is 1 / its standard error. For differences of groups of n and
+        m in standard deviations, it is sqrt(n m / (n + m)).
     power, level : float
     """
     if not (freedom >= 1 and math.isfinite(scale)):

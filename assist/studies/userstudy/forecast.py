@@ -1,41 +1,165 @@
-"""How many people the policies of a user study would assist: by simulation, before the first participant."""
+"""What a user study would show, and whom its policies would assist: by simulation, before the first participant."""
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import cycle, islice
 from statistics import fmean
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
 
 from planner import CostToGo, Table
 
+from ...declare.declared import Count, Number, Text, declared
+from ...people.decision import Floats
+from ...team.episodes import Episodes
 from ...team.policy_names import SELDOM, WEIGHING
 from ...team.pool import Pool
 from ...team.simulate import simulate
+from ..repeated_measures import detectable_within
+from ..statistics import detectable
 from .plan import Condition, UserStudy
+from .session import policy_of
 
-PEOPLE, EPISODES = 24, 40
+PEOPLE, EPISODES = 24, 200
 """Numbers of simulated people, and of episodes of each task with teams of them."""
 
+MOST = 10_000
+"""Number of participants beyond which no study is planned."""
 
-def seldom_assisted(study: UserStudy, tasks: Mapping[str, CostToGo]) -> Iterator[tuple[Condition, float]]:
-    """Yield conditions whose policy weighs costs and hardly assists, with the percentage of people whom it does.
 
-    Parameters
+@declared(kw_only=True)
+class Sensitivity:
+    """Which difference from the reference a study can show, before it begins."""
+
+    condition: Annotated[Text, Field(description="The condition.")]
+    against: Annotated[Text, Field(description="The reference.")]
+    units: Annotated[
+        Count | None, Field(description="Participants, or groups, in each of the two conditions; null without a limit.")
+    ] = None
+    hedges_g: Annotated[
+        Number | None, Field(description="Least difference that four of five studies show, in standard deviations.")
+    ] = None
+    actions: Annotated[Number | None, Field(description="The same in actions per task, as simulated people vary.")] = (
+        None
+    )
+    expected: Annotated[Number | None, Field(description="Difference of simulated people in actions per task.")] = None
+    needed: Annotated[Count | None, Field(description="Participants who would show this difference.")] = None
+
+    def __str__(self) -> str:
+        said = []
+        if self.hedges_g is not None:
+            actions = "" if self.actions is None else f"{self.actions:.1f} actions per task, "
+            said += [f"with {self.units} in each, four of five studies show {actions}g = {self.hedges_g:.2f}, or more"]
+        if self.expected is not None:
+            enough = f"more than {MOST:,}" if self.needed is None else f"{self.needed:,}"
+            said += [f"simulated people differ by {self.expected:.1f}, which takes {enough} participants in all"]
+        return f"{self.condition} minus {self.against}: {'; '.join(said) or 'cannot be tested'}"
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Simulated participants of a user study.
+
+    Attributes
     ----------
     study : UserStudy
-    tasks : mapping of str to CostToGo
-        Tasks by name. Those that are solved on demand are too large to be simulated here.
+    actions : dict of arrays, shape (EPISODES,)
+        By condition, the actions per task of each unit of analysis, a participant or a group; NaN of those who do not
+        finish. Rows are the same units, each time with random numbers of their own. Empty if no task can be simulated.
+    assisted : dict of float
+        By condition, the percentage of people to whom the robot makes a suggestion in a task.
     """
-    known = [tasks[name] for name, _ in study.tasks if isinstance(tasks[name], Table)]
-    for one in study.conditions:
-        if one.policy in WEIGHING and known:
-            assisted = fmean(_assisted(study, one, task) for task in known)
-            if assisted < SELDOM:
-                yield one, assisted
+
+    study: UserStudy
+    actions: Mapping[str, Floats]
+    assisted: Mapping[str, float]
+
+    @classmethod
+    def of(cls, study: UserStudy, tasks: Mapping[str, CostToGo]) -> Forecast:
+        """Simulate the conditions of a study.
+
+        Parameters
+        ----------
+        study : UserStudy
+        tasks : mapping of str to CostToGo
+            Tasks by name. Those that are solved on demand are too large to be simulated here.
+        """
+        known = [table for name, _ in study.tasks if isinstance(table := tasks[name], Table)]
+        if not known:
+            return cls(study, {}, {})
+        actions, assisted = {}, {}
+        for number, one in enumerate(study.conditions):
+            found = [_simulated(study, one, table, (number, place)) for place, table in enumerate(known)]
+            members = 1 if study.group is None else study.group.size
+            each = [np.where(run.finished, run.actions, np.nan)[:, :members].mean(axis=1) for run in found]
+            actions[one.name] = np.mean(each, axis=0)
+            assisted[one.name] = 100 * fmean(float((run.helped > 0).mean()) for run in found)
+        return cls(study, actions, assisted)
+
+    def seldom_assisted(self) -> Iterator[tuple[Condition, float]]:
+        """Yield conditions whose policy weighs costs and hardly assists, with the percentage of people whom it does."""
+        for one in self.study.conditions:
+            if one.policy in WEIGHING and self.assisted.get(one.name, SELDOM) < SELDOM:
+                yield one, self.assisted[one.name]
+
+    def sensitivity(self) -> Iterator[Sensitivity]:
+        """Yield which difference from the reference each other condition can show.
+
+        The test is that of the report, without Holm's adjustment: Student's t at 5 %, within participants adjusted for
+        the period.
+        """
+        study = self.study
+        size = 1 if study.group is None else study.group.size
+        each = size if study.is_within else size * len(study.conditions)
+        units = None if study.participants is None else study.participants // each
+        for one in (one.name for one in study.conditions if one.name != study.reference):
+            spread, expected = self._difference(one)
+            g = math.nan if units is None else self._detectable(one, units)
+            yield Sensitivity(
+                condition=one, against=study.reference, units=units or None, hedges_g=_known(g),
+                actions=_known(g * spread), expected=_known(expected),
+                needed=self._needed(one, expected / spread, each),
+            )  # fmt: skip
+
+    def _needed(self, condition: str, size: float, each: int) -> int | None:
+        """Return the number of participants who show a standardised difference, where a unit takes `each` of them."""
+        every = range(MOST // each + 1)
+        found = bisect_left(every, True, lo=2, key=lambda units: self._detectable(condition, units) <= abs(size))
+        return found * each if found in every else None
+
+    def _detectable(self, condition: str, units: int) -> float:
+        """Return the standardised difference from the reference that some units show with 80 % power."""
+        if not self.study.is_within:
+            return detectable(2 * units - 2, math.sqrt(units / 2))
+        orders = islice(cycle(self.study.orders.values()), units)
+        return detectable_within([(order.index(condition), order.index(self.study.reference)) for order in orders])
+
+    def _difference(self, condition: str) -> tuple[float, float]:
+        """Return the standard deviation that the test of a condition meets, and the mean difference."""
+        if not self.actions:
+            return math.nan, math.nan
+        own, other = self.actions[condition], self.actions[self.study.reference]
+        if self.study.is_within:
+            spread = float(np.nanstd(own - other, ddof=1))
+        else:
+            spread = math.sqrt((np.nanvar(own, ddof=1) + np.nanvar(other, ddof=1)) / 2)
+        return spread, float(np.nanmean(own) - np.nanmean(other))
 
 
-def _assisted(study: UserStudy, condition: Condition, task: CostToGo) -> float:
-    """Return the percentage of simulated people to whom a condition's policy makes a suggestion in an episode."""
+def _simulated(study: UserStudy, condition: Condition, task: Table, number: tuple[int, ...]) -> Episodes:
+    """Simulate the same teams of the same people at a task; their random numbers are those of the condition alone."""
     team = 1 + study.simulated if study.group is None else study.group.size
     pool = Pool.sample(task, PEOPLE, seed=study.seed, setting=condition.setting, population=study.population)
-    found = simulate(pool, condition.policy, humans=team, episodes=EPISODES, seed=study.seed)
-    return 100 * float((found.helped > 0).mean())
+    teams = np.random.default_rng([study.seed, 4]).permuted(np.tile(np.arange(PEOPLE), (EPISODES, 1)), axis=1)[:, :team]
+    seed = int(np.random.default_rng([study.seed, 5, *number]).integers(2**63))
+    return simulate(pool, policy_of(study, condition.policy), humans=teams, episodes=EPISODES, seed=seed)
+
+
+def _known(number: float) -> float | None:
+    return number if math.isfinite(number) else None

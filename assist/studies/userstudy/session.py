@@ -79,7 +79,7 @@ class StudySession(Session):
         # Whether something withdrawn could not be removed, and when that was last tried.
         self._remains, self._tried = False, 0.0
         self._rests = 0.0  # until when others have their turn after long removals
-        self._policies = {one.name: _policy(study, one.policy) for one in study.conditions}
+        self._policies = {one.name: policy_of(study, one.policy) for one in study.conditions}
         # Solved once for all teams with the same setting.
         self._solved: list[tuple[Setting, dict[str, Any]]] = []
         for setting in (study.setting, *(one.setting for one in study.conditions)):
@@ -210,6 +210,7 @@ class StudySession(Session):
             return look(self.cohort)
 
 
-def _policy(study: UserStudy, policy: str) -> str | TeamPolicy:
+def policy_of(study: UserStudy, policy: str) -> str | TeamPolicy:
+    """Return the policy of a condition: its name, or the user's function."""
     place = parse(policy, study.file.parent)
     return policy if place is None else UserPolicy.load(*place)

@@ -608,11 +608,14 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(t
 def test_a_plan_is_checked_without_registering_it(tmp_path: Path) -> None:
     file = written(tmp_path / "study.toml", CONFIRMED.replace("seed = 3", "seed = 3\nparticipants = 13"))
     said = run("study-prepare", file, "--check")
-    assert json.loads(said.stdout) == {"study": str(file), "places": 13, "comparisons": 2}
-    assert said.stderr == (
-        "participants 13: 2 conditions get unequal numbers; expected a multiple of 2 for equal ones\n"
-        f"{file} can be carried out; nothing is registered yet\n"
-    )
+    printed = json.loads(said.stdout)
+    (shown,) = printed.pop("sensitivity")
+    assert printed == {"study": str(file), "places": 13, "comparisons": 2}
+    assert (shown["condition"], shown["units"]) == ("attention", 6)
+    first, second, last = said.stderr.splitlines()
+    assert first == "participants 13: 2 conditions get unequal numbers; expected a multiple of 2 for equal ones"
+    assert second.startswith("attention minus none: with 6 in each, four of five studies show ")
+    assert last == f"{file} can be carried out; nothing is registered yet"
     assert [one.name for one in tmp_path.iterdir()] == ["study.toml"]
     dear = written(file, CONFIRMED.replace("c_suggest = 0.02", "c_suggest = 50.0"))
     said = run("study-prepare", dear, "--data", tmp_path / "data")

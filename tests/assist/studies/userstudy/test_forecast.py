@@ -1,0 +1,73 @@
+"""What a user study would show, before it begins."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from userstudies import PLAN, written
+
+from assist.studies.repeated_measures import within_participants
+from assist.studies.statistics import between_groups
+from assist.studies.userstudy.forecast import Forecast, Sensitivity
+from assist.studies.userstudy.plan_file import read
+from planner import Table
+
+
+def forecast(folder: Path, tiny: Table, more: str = "participants = 24") -> Forecast:
+    plan = PLAN.replace("seed = 3", f"seed = 3\n{more}")
+    return Forecast.of(read(written(folder / "study.toml", plan)), {"tiny": tiny})
+
+
+def test_a_study_says_before_it_begins_which_difference_it_can_show(tiny: Table, tmp_path: Path) -> None:
+    found = forecast(tmp_path, tiny)
+    (shown,) = found.sensitivity()
+    assert (shown.condition, shown.against, shown.units) == ("attention", "none", 12)
+    assert shown.hedges_g == pytest.approx(1.2, abs=0.005)  # as G*Power has it: 12 in each group
+    own, other = found.actions["attention"], found.actions["none"]
+    assert shown.actions == pytest.approx(shown.hedges_g * math.sqrt((own.var(ddof=1) + other.var(ddof=1)) / 2))
+    assert shown.expected == pytest.approx(own.mean() - other.mean())
+    # As many participants as are needed show the difference of simulated people, and two fewer do not.
+    assert shown.needed is not None
+    assert shown.needed % 2 == 0
+    enough, fewer = (next(forecast(tmp_path, tiny, f"participants = {shown.needed - n}").sensitivity()) for n in (0, 2))
+    assert enough.actions is not None
+    assert fewer.actions is not None
+    assert enough.actions <= abs(shown.expected) < fewer.actions
+
+
+def test_what_no_simulation_says_is_left_out(tiny: Table, tmp_path: Path) -> None:
+    (unlimited,) = forecast(tmp_path, tiny, "tick = 2").sensitivity()
+    assert (unlimited.units, unlimited.hedges_g, unlimited.actions) == (None, None, None)
+    assert unlimited.needed is not None
+    study = forecast(tmp_path, tiny).study
+    assert [str(one) for one in Forecast(study, {}, {}).sensitivity()] == [
+        "attention minus none: with 12 in each, four of five studies show g = 1.20, or more"
+    ]
+    alone = Sensitivity(condition="a", against="b", units=6, hedges_g=1.796, actions=4.0, expected=-0.01)
+    assert str(alone) == (
+        "a minus b: with 6 in each, four of five studies show 4.0 actions per task, g = 1.80, or more; simulated "
+        "people differ by -0.0, which takes more than 10,000 participants in all"
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("design", "places"), [("between", 24), ("between", 80), ("within", 12), ("within", 40)])
+def test_four_of_five_studies_show_what_was_forecast(tiny: Table, tmp_path: Path, design: str, places: int) -> None:
+    """Studies of simulated people, whose conditions differ by the difference that was called detectable."""
+    found = forecast(tmp_path, tiny, f'participants = {places}\ndesign = "{design}"')
+    (shown,) = found.sensitivity()
+    assert shown.actions is not None
+    assert shown.expected is not None
+    assert shown.units is not None
+    own, other = found.actions["attention"] - shown.expected + shown.actions, found.actions["none"]
+    rng, studies = np.random.default_rng(1), 1500
+    if design == "between":
+        p = [between_groups(rng.choice(own, shown.units), rng.choice(other, shown.units)).p for _ in range(studies)]
+    else:
+        periods = [(1, 2), (2, 1)] * (shown.units // 2)
+        p = [within_participants(rng.choice(own - other, shown.units), periods).p for _ in range(studies)]
+    # Three standard errors, and .01 since numbers of actions are skewed: twelve participants show somewhat more (.83).
+    assert np.mean(np.array(p) < 0.05) == pytest.approx(0.8, abs=0.041)
