@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
-from typing import Annotated
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, SkipValidation
 
@@ -14,6 +14,29 @@ from .advice import Question, Reason
 Rows = Annotated[Sequence[Sequence[float | None]], SkipValidation()]
 """Rows of numbers, as arrays give them."""
 Interval = tuple[AnyNumber, AnyNumber, AnyNumber]
+
+
+@dataclass(frozen=True)
+class Line:
+    """Marks a field of a view that pages show as a line of text, as long as it is there, and not empty, zero or false.
+
+    Attributes
+    ----------
+    person : str, optional
+        Key of the text on the person's page, in which {value} stands for the value.
+    operator : str, optional
+        The text on the operator's page.
+    """
+
+    person: str | None = None
+    operator: str | None = None
+
+
+def lines_of(kind: type[View], page: Literal["person", "operator"]) -> dict[str, str]:
+    """Return the text, or its key, of each field of a view that a page shows as a line."""
+    fields: Any = kind
+    marked = {name: one for name, field in fields.__pydantic_fields__.items() for one in field.metadata}
+    return {name: getattr(one, page) for name, one in marked.items() if isinstance(one, Line) and getattr(one, page)}
 
 
 @declared
@@ -31,9 +54,13 @@ class PersonView(View):
     person: Annotated[AnyText, Field(description="The name of the person.")]
     task: Annotated[AnyText, Field(description="The name of the person's task.")] = ""
     present: Annotated[Truth, Field(description="Whether the person is in the team.")]
-    paused: Annotated[Truth, Field(description="Whether the robots make no suggestions at present.")] = False
+    paused: Annotated[
+        Truth, Line(person="task.paused"), Field(description="Whether the robots make no suggestions at present.")
+    ] = False
     applicable: Annotated[tuple[AnyText, ...], Field(description="The actions that are possible now, in PDDL.")] = ()
-    suggestion: Annotated[AnyText | None, Field(description="The open suggestion, in PDDL.")] = None
+    suggestion: Annotated[
+        AnyText | None, Line(operator="Suggested: {value}"), Field(description="The open suggestion, in PDDL.")
+    ] = None
     reason: Annotated[Reason | None, Field(description="Why it was made, in numbers.")] = None
     cost_to_go: Annotated[
         AnyNumber | None,
@@ -73,7 +100,7 @@ class MemberView(PersonView):
     belief: Rows
     goals: Annotated[dict[str, AnyNumber], Seldom()] = field(default_factory=dict)
     sees: Annotated[
-        dict[str, AnyNumber], Seldom(),
+        dict[str, AnyNumber], Seldom(), Line(operator="Sees: {value}"),
         Field(description="Whom the person sees being helped, with the weight of each, if that moves theta."),
     ] = field(default_factory=dict)  # fmt: skip
 

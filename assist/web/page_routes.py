@@ -15,6 +15,7 @@ from fastapi.responses import FileResponse, HTMLResponse
 from ..declare.catalogue import Catalogue, catalogue
 from ..declare.refusals import AbsentError
 from ..drawing import svg
+from ..live.views import MemberView, PersonView, lines_of
 
 PAGES = Path(__file__).parent / "pages"
 SECTIONS = ("page", "task", "study", "question")
@@ -40,7 +41,11 @@ def document(request: Request, content: str, status: int = 200, texts: Catalogue
 def _worded(content: str, texts: Catalogue) -> str:
     content = re.sub(r"\{(\w+\.\w+)\}", lambda found: html.escape(texts.texts[found[1]]), content)
     own = {f"{name}.{key}": text for name in SECTIONS for key, text in texts.section(name).items()}
-    return content.replace("{language}", texts.tag).replace("{texts}", json.dumps(own).replace("<", "\\u003c"))
+    keys = lines_of(PersonView, "person").items()
+    lines = {"person": {name: texts.texts[key] for name, key in keys}, "operator": lines_of(MemberView, "operator")}
+    for name, written in (("texts", own), ("lines", lines)):
+        content = content.replace(f"{{{name}}}", json.dumps(written).replace("<", "\\u003c"))
+    return content.replace("{language}", texts.tag)
 
 
 def page(request: Request, file: Path, status: int = 200, *, texts: Catalogue | None = None) -> Response:

@@ -55,7 +55,7 @@ export function leave() {
 
 /** Open a page at a path of the service; `fetch` answers its requests. Returns the page's modules and what it stores. */
 export async function open(path, { fetch = () => new Response("{}"), language = "en", stored = new Storage() } = {}) {
-  const elements = { texts: { textContent: JSON.stringify(TEXTS) } };
+  const elements = { texts: { textContent: JSON.stringify(TEXTS) }, lines: { textContent: "{}" } };
   const url = new URL(`.${path}`, `${pathToFileURL(folder)}/`);
   const asked = [];
   const listeners = {};

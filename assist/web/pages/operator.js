@@ -1,7 +1,7 @@
 // The operator's page: people's progress, the beliefs about them, the robot, and the log.
 
 import { Channel, LONG, Refused, ask, newId, pathOf, show as showState } from "./connection.js";
-import { all, at, clock, complain, element, focused, released, sentence } from "./page.js";
+import { all, at, clock, complain, element, focused, lines, released, sentence } from "./page.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const WIDTH = 300;
@@ -115,11 +115,6 @@ function answerOf({ person }, { goal, yes }) {
     }, "Take back"));
 }
 
-/** Whom a person sees being helped, with weights below 1. */
-function seenBy({ sees }) {
-  return Object.entries(sees).map(([name, weight]) => weight < 1 ? `${name} (${weight.toFixed(2)})` : name).join(", ") || "nobody";
-}
-
 function figureOf(drawn, caption) {
   return element("figure", {}, drawn, element("figcaption", {}, caption));
 }
@@ -140,8 +135,7 @@ function card(person) {
       here >= 0 ? element("span", { class: "badge here" }, robots.length > 1 ? `robot ${here + 1} here` : "robot here") : null,
       element("span", { class: `badge${person.finished ? " ended" : ""}` }, state)),
     element("p", {}, `${team.tasks.length > 1 ? `${person.task}: ` : ""}${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${remaining(person)}`),
-    person.sees ? element("p", {}, `Sees: ${seenBy(person)}`) : null,
-    person.suggestion ? element("p", {}, `Suggested: ${plain(person.suggestion)}`) : null,
+    ...lines("operator", person),
     person.question ? questionTo(person, person.question) : null,
     person.answered ? answerOf(person, person.answered) : null,
     figureOf(progressOf(person), "Remaining cost over time"),

@@ -21,6 +21,19 @@ export function text(key, values = {}) {
   return TEXTS[own].replace(/\{(\w+)\}/g, (_, name) => values[name]);
 }
 
+const LINES = JSON.parse(at("lines").textContent); // the declared lines of each page
+
+/** What a line says of a value: an action without its parentheses, and names with weights below 1. */
+function said(value) {
+  if (typeof value === "string") return value.replace(/^\(|\)$/g, "");
+  if (value === null || typeof value !== "object") return value;
+  return Object.entries(value).map(([name, weight]) => weight < 1 ? `${name} (${weight.toFixed(2)})` : name).join(", ");
+}
+
+/** The lines of a view that a page shows: each field that is there, and what it says. @type {(page: string, view: any) => HTMLElement[]} */
+export const lines = (page, view) => Object.entries(LINES[page]).filter(([field]) => view[field]).map(([field, words]) =>
+  element("p", { "data-line": field }, words.replace("{value}", () => said(view[field]))));
+
 /** A number as it is written in the page's language, with so many digits after the decimal sign, or as many as it has. */
 export const figure = (value, digits = -1) => value.toLocaleString(language, {
   minimumFractionDigits: Math.max(digits, 0), maximumFractionDigits: digits < 0 ? 6 : digits, useGrouping: false,

@@ -1,7 +1,7 @@
 // A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
 import { Outbox, askJson, follow, passes, pageOf, pathOf, person, place, unsent } from "./connection.js";
-import { all, at, clock, complain, element, figure, first, focused, keep, language, recall, released, sentence, single, text } from "./page.js";
+import { all, at, clock, complain, element, figure, first, focused, keep, language, lines, recall, released, sentence, single, text } from "./page.js";
 
 const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
 const WIDTHS = [320, 400, 520, 640, 760, 960];
@@ -98,7 +98,7 @@ function showAdvice() {
   at("advice").hidden = view.finished && !view.question;
   at("advice").classList.toggle("open", suggestion !== null || Boolean(view.question));
   at("offer").hidden = suggestion === null;
-  at("paused").hidden = !view.paused || suggestion !== null;
+  fill(at("lines-shown"), lines("person", view));
   at("advice-title").textContent = text(view.question ? "task.asks" : "task.suggests");
   at("nothing").hidden = view.paused || suggestion !== null || Boolean(view.question);
   showQuestion(view.question);
@@ -146,7 +146,7 @@ function reply(answer) {
   at("choices-title").focus({ preventScroll: true });
 }
 
-const lines = (texts) => texts.map((words) => {
+const items = (texts) => texts.map((words) => {
   const line = document.createElement("li");
   line.textContent = words.replaceAll(" %", "\u00a0%");
   return line;
@@ -158,7 +158,7 @@ function showReasons(suggestion) {
   const key = `${view.seq} ${suggestion}`;
   if (explained === key) return;
   explained = key;
-  fill(at("why"), suggestion !== null && !view.explained ? lines([text("task.optimal")]) : []);
+  fill(at("why"), suggestion !== null && !view.explained ? items([text("task.optimal")]) : []);
   const others = suggestion === null || !view.explained ? [] : view.applicable.filter((action) => action !== suggestion);
   fill(at("against"), ["", ...others].map((action) => new Option(action ? words(action) : text("task.choose"), action)));
   at("comparison").hidden = !others.length;
@@ -178,10 +178,10 @@ async function explain() {
     const { sentences, step } = await explanation();
     if (key !== explained) return;
     // The suggestion itself is shown above.
-    fill(at("why"), lines([...sentences.slice(step ? 1 : 0), ...(view.reason === null ? [] : beliefs(view.reason))]));
+    fill(at("why"), items([...sentences.slice(step ? 1 : 0), ...(view.reason === null ? [] : beliefs(view.reason))]));
   } catch (error) {
     if (key === explained && passes(error)) setTimeout(explain, 1000);
-    else if (key === explained) fill(at("why"), lines([sentence(error.message)]));
+    else if (key === explained) fill(at("why"), items([sentence(error.message)]));
   }
 }
 

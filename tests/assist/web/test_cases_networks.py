@@ -322,12 +322,12 @@ def test_a_click_is_not_lost_when_the_page_changes_between_press_and_release(
         robot = Client(f"{here.behind}/operator#{here.access.operator}")
         robot.pause()
         other = here.page()  # the same person, whose page shows the change
-        other.wait_for_selector("#paused:not([hidden])")
-        assert page.locator("#paused").is_hidden()  # until the release
+        other.wait_for_selector('[data-line="paused"]')
+        assert page.locator('[data-line="paused"]').is_hidden()  # until the release
         page.mouse.up()
         has_done(page, 1)
         assert here.session.person("ann")["applicable"][0].endswith("box-b)")
-        page.wait_for_selector("#paused:not([hidden])")
+        page.wait_for_selector('[data-line="paused"]')
 
 
 def test_the_focus_stays_where_people_with_a_keyboard_work(chromium: Any, tiny: Table, tmp_path: Path) -> None:

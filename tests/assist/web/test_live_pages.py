@@ -337,8 +337,8 @@ def sees_everybody_pauses_corrects_and_exports(chromium: Any, desk: Any, clicked
     page.click("#pause")
     page.wait_for_selector("#pause[aria-pressed=true]")
     assert clicked.seen()["paused"] is True
-    clicked.page.wait_for_selector("#paused:not([hidden])")
-    assert clicked.page.inner_text("#paused") == "Suggestions are paused. You can continue to work."
+    clicked.page.wait_for_selector('[data-line="paused"]')
+    assert clicked.page.inner_text('[data-line="paused"]') == "Suggestions are paused. You can continue to work."
     assert violations(clicked.page) == []
     assert violations(page, within=["header", ".robot", ".tools"]) == []  # of people it shows the same as above
     page.click("#pause")
