@@ -123,7 +123,9 @@ class Blind:
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return the policy's action."""
-        return self.policy(replace(team, neighbours=NOBODY_SEES))
+        known = team.beliefs.of(np.arange(team.x.size))
+        known.neighbours = NOBODY_SEES
+        return self.policy(replace(team, beliefs=known))
 
 
 @main.command()

@@ -25,11 +25,11 @@ def state(
     choices, model = pool.choices(0), pool.model[people]
     at = np.array([x])
     prior = np.array([policy.pomdp.prior for policy in pool.policies])[model[0]]
-    known = Seen(at[0], prior if belief is None else belief, np.array(erred or [False] * len(x)))
+    belief, seen = prior if belief is None else belief, pool.setting.neighbourhood(len(x))
+    known = Seen(at[0], belief, np.array(erred or [False] * len(x)), seen)
     return TeamState(
         0, ~choices.goal[at], np.full((1, len(pool.setting.robots)), location), model, known, pool.policies,
         travel or pool.setting.travel(len(x)), fleet=pool.setting.fleet,
-        neighbours=pool.setting.neighbourhood(len(x)).believed,
     )  # fmt: skip
 
 

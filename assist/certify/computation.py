@@ -25,14 +25,13 @@ from ..people.decision import Floats
 from ..person.attention_subproblem import AttentionSubproblem
 from ..person.memory_needed import MEMORY_LIMIT_MB
 from ..person.policy import Policy
-from ..person.solver import Solution, solve
+from ..person.solver import solve
 from ..person.travel import Travel
 from ..team.pool import Pool
 from .action_prices import needed, paid
-from .envelope import Lifted
 from .options import BoundOptions, Effort
 from .priced_steps import window_of
-from .prices import SubproblemKind, kinds_of, search
+from .prices import PersonBound, SubproblemKind, kinds_of, search
 from .visited_beliefs import BeliefRecorder
 
 
@@ -58,11 +57,11 @@ class Relaxation:
     """The Lagrangian relaxation of a team: its subproblems at some prices, with their solutions."""
 
     kinds: list[SubproblemKind]
-    parts: list[tuple[AttentionSubproblem, Solution | Lifted]]
+    parts: list[tuple[AttentionSubproblem, PersonBound]]
     price: Floats
     """Prices of attention, shape (W,), or (3, W) with those of actions."""
 
-    def _all(self, each: Callable[[Solution | Lifted], float]) -> float:
+    def _all(self, each: Callable[[PersonBound], float]) -> float:
         return sum(kind.count * each(solution) for kind, (_, solution) in zip(self.kinds, self.parts, strict=True))
 
     @property
@@ -199,7 +198,7 @@ class Computation:
         InterruptedBound
             Ctrl-C, after some of the bounds.
         """
-        parts: dict[int, tuple[AttentionSubproblem, Solution | Lifted]] = {}
+        parts: dict[int, tuple[AttentionSubproblem, PersonBound]] = {}
         over, advance = Event(), adding(self.tell, "bounding people's problems", len(kinds))
 
         def go_on(*_: float) -> None:
@@ -212,7 +211,7 @@ class Computation:
             best = kind.best(visits)
             still = math.ceil((len(kinds) - number) / self.workers)  # rounds that remain, including this one
             share = (until - time.perf_counter()) / still
-            parts[number] = visits, kind.envelope.bound(best, lambda best: solve(
+            parts[number] = visits, kind.bound(best, lambda best: solve(
                 visits.pomdp, gap=self.gap, time_limit=None if until == math.inf else max(0.0, share),
                 memory_limit_mb=self.memory_limit_mb, best=best,
                 further_beliefs=None if recorder is None else recorder.of(kind.places, visits), bounds=go_on,

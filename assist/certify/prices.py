@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from ..people.decision import Floats
 from ..person.attention_subproblem import AttentionSubproblem
 from ..person.memory_needed import first_bounds_bytes, policy_bytes, require_room
 from ..person.qmdp import QMDP, look_ahead
+from ..person.solver import Solution
 from ..person.time_expansion import HERE, TimeExpansion
 from ..person.travel import Travel
 from ..person.truncated_bound import OuterRelaxation, TruncatedProblem, likely
@@ -31,10 +33,11 @@ from ..team.simulate import simulate
 from ..team.state import TeamAction, TeamState
 from .action_prices import supply
 from .each_goal import given_goals
-from .envelope import Envelope, OwnTheta
+from .envelope import Envelope, Lifted, OwnTheta
 from .options import BoundOptions
 
 Ints = NDArray[np.int64]
+PersonBound: TypeAlias = Solution | Lifted
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,10 @@ class SubproblemKind:
     def best(self, visits: AttentionSubproblem) -> QMDP:
         """Solve the subproblem with observed type and theta, backwards from the steps with free attention."""
         return self.envelope.solved(visits, self.tail)
+
+    def bound(self, best: QMDP, search: Callable[[QMDP], Solution]) -> PersonBound:
+        """Return bounds with type and theta out of sight, from the values with both observed and, perhaps, a search."""
+        return self.envelope.bound(best, search)
 
     def with_free_attention(self) -> float:
         """Return an upper bound on the value at any prices: that with free attention and observed beta and theta."""

@@ -168,11 +168,10 @@ class Teams:
         them = PeopleAtWork(
             self.people, AllTeams(CommonRandomNumbers(0, np.arange(teams), places), teams), world == "model", self.x,
             row, goal, self.theta, seen, self.finished, presence.joins, presence.leaves,
-            pool.setting.neighbourhood(places),
         )  # fmt: skip
         flat = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self._prior.shape[1:])
         known, robots = (
-            Seen(row.reshape(-1), flat, self.erred.reshape(-1)),
+            Seen(row.reshape(-1), flat, self.erred.reshape(-1), pool.setting.neighbourhood(places)),
             RobotsAtWork(self.fleet, self.travel, teams),
         )
         self.engine, self.location = Engine(self.tasks, them, robots, known), robots.location

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
-from ..people.neighbours import LARGEST_STEP, SEEN_RULES, WithSeen
+from ..people.neighbours import LARGEST_STEP, SEEN_RULES, WithSeen, parts_of
 from ..people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
 from .intervals import Interval
 from .likelihood import Method
@@ -84,7 +84,7 @@ def families(method: Method) -> dict[str, RuleFamily]:
 
 def parameters_of(rule: TrustRule) -> dict[str, float]:
     """Return the numbers that a rule has, by name."""
-    numbers = [(name, value) for part in getattr(rule, "parts", (rule,)) for name, value in vars(part).items()]
+    numbers = [(name, value) for part in parts_of(rule) for name, value in vars(part).items()]
     return {name: float(value) for name, value in numbers if type(value) in (int, float)}
 
 

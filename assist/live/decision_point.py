@@ -19,7 +19,6 @@ from planner import CostToGo
 from ..declare.refusals import InapplicableError
 from ..people.choices import Choices
 from ..people.decision import Floats
-from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from ..people.same_costs import same_cost
 from ..person.beliefs import Beliefs
 from ..person.joint_belief import is_certain
@@ -66,8 +65,6 @@ class DecisionPoint:
         Name of the team's policy.
     extra : float
         What a suggestion by this robot costs more than in people's problems, in cost units.
-    neighbours : Neighbourhood
-        What people see of each other, as far as the robots know.
     policy : callable
         Returns the team's policy.
     saw : mapping of int to Sight
@@ -89,7 +86,6 @@ class DecisionPoint:
     moving: Floats
     rule: str
     extra: float = 0.0
-    neighbours: Neighbourhood = NOBODY_SEES
     policy: Callable[[], TeamPolicy] = NoAssistance
     saw: Mapping[int, Sight] = field(default_factory=dict)
     paused: bool = False
@@ -121,7 +117,7 @@ class DecisionPoint:
             tuple(team.by_name), tuple(team.problems), policies, team.beliefs.of(np.arange(count)),
             copy(team.model), copy(team.robot), copy(team.present), copy(team.ended),
             {k: _why(one) for k, one in sorted(questions.items())},
-            here, moving[:count], rule, extra, team.neighbours, policy,
+            here, moving[:count], rule, extra, policy,
             {
                 k: Sight(one.name, one.saw[-1].neighbour, one.saw[-1].followed)
                 for k, one in enumerate(team.records) if one.saw
@@ -330,7 +326,7 @@ class DecisionPoint:
         actions = max(policy.pomdp.suggested.shape[1] for policy in self.policies)
         team = TeamState(
             0, active[None], np.full((1, 1), BASE), self.model[None], self.beliefs.of(np.arange(size)), self.policies,
-            Setting().travel(size), neighbours=self.neighbours,
+            Setting().travel(size),
         )  # fmt: skip
         return beside(self.policy(), team, actions)[0]
 

@@ -152,7 +152,6 @@ class Decisions:
             step, active[None], np.array([self._places.at]), t.model[None], t.beliefs,
             [task.policy for task in t.tasks], self._places.travel, t,
             free=~np.array([self._places.under_way]), fleet=self._setting.fleet,
-            neighbours=t.neighbours,
         )  # fmt: skip
 
     def team_policy(self) -> TeamPolicy:

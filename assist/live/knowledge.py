@@ -194,7 +194,7 @@ class Knowledge:
                 self._places.grow(2 * place)
                 team.resize(2 * place)
             team.add(person, problem, name, belief)
-            team.neighbours = seen.believed
+            team.beliefs.neighbours = seen.believed
             self._came_or_went(team.records[place])
 
     def left(self, person: str) -> None:
@@ -338,12 +338,12 @@ class Knowledge:
         return None if offer is None or action is None else shown_by(self.roster, record, action, offer.robot)
 
     def _require_all_seen(self, *, uncertain: bool) -> None:
-        if uncertain and self.roster.neighbours.needs_all_seen:
+        if uncertain and self.roster.beliefs.neighbours.needs_all_seen:
             raise Refusal("other", why="neighbours: expected actions that are all seen as they are")
 
     def sees(self, person: str) -> dict[str, float]:
         """Return whom a person sees of those who are present, with the weight of each."""
-        seen = self.roster.neighbours.seen_from(self.entry(person).place)
+        seen = self.roster.beliefs.neighbours.seen_from(self.entry(person).place)
         each = {self.roster.records[place]: weight for place, weight in seen.items()}
         return {other.name: weight for other, weight in each.items() if self.roster.present[other.place]}
 

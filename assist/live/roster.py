@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..declare.refusals import AbsentError
 from ..people.decision import Floats
-from ..people.neighbourhood import NOBODY_SEES
 from ..people.neighbours import SeenEvent
 from ..person.beliefs import Ask
 from ..person.hidden_beliefs import Hidden
@@ -290,8 +289,6 @@ class Roster:
         Robot action towards each person since their last action, that of their open suggestion; 0 for none.
     present, ended : bool arrays, shape (P,)
         Whether the person is present, and has (probably) reached the goal.
-    neighbours : Neighbourhood
-        What people see of each other, as far as the robots know.
     event, time : int, float
         Number of the present event, and when it happened, in seconds, or was tried to: time that passed without an
         effect, too.
@@ -314,7 +311,7 @@ class Roster:
         self.beliefs = Hidden(
             np.zeros(places, dtype=np.int64), np.zeros((places, 0, 0)), np.zeros(places, dtype=bool)
         )  # fmt: skip
-        self.neighbours, self.event, self.time, self.touched = NOBODY_SEES, 0, 0.0, set[str]()
+        self.event, self.time, self.touched = 0, 0.0, set[str]()
         self.paused = False
         self._change = np.zeros(places, dtype=np.int64)
         self._answers: dict[Ask, _Answers] = {}

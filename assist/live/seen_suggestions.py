@@ -27,7 +27,7 @@ def shown_by(team: Roster, record: RosterEntry, action: str, robot: int) -> Show
     Refusal
         The action is not possible.
     """
-    if not team.neighbours.watched[record.place : record.place + 1].any():
+    if not team.beliefs.neighbours.watched[record.place : record.place + 1].any():
         return None
     problem, row = record.problem, team.row(record)
     suggested = int(problem.policy.pomdp.suggested[row, robot])
@@ -40,7 +40,7 @@ def shown_by(team: Roster, record: RosterEntry, action: str, robot: int) -> Show
 
 def onlookers(team: Roster, record: RosterEntry) -> list[tuple[RosterEntry, float]]:
     """Return those who are present and see a person, with the weight of each."""
-    _, who, weight = team.neighbours.onlookers(np.array([record.place]), team.present[None])
+    _, who, weight = team.beliefs.neighbours.onlookers(np.array([record.place]), team.present[None])
     return [(team.records[place], one) for place, one in zip(who.tolist(), weight.tolist(), strict=True)]
 
 
@@ -58,7 +58,7 @@ def see(team: Roster, record: RosterEntry, what: Iterable[Saw]) -> None:
     """Move the belief in a person by what they saw."""
     grid = record.problem.policy.pomdp.grid
     for one in what:
-        low, weight = grid.shares(team.neighbours.rule.update(grid.theta, one.event), grid.count)
+        low, weight = grid.shares(team.beliefs.neighbours.rule.update(grid.theta, one.event), grid.count)
         team.beliefs.moved(np.array([record.place]), low[None], weight[None])
 
 

@@ -20,7 +20,7 @@ from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, perceived_cost
 from ..people.goals import Goals, each_of, prior_of
 from ..people.human import Human
-from ..people.neighbours import SeenNothing, SeenRule
+from ..people.neighbours import parts_of
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.ranges import Population
 from ..people.slots import padded
@@ -31,8 +31,6 @@ from ..people.weighted_choice import Weighted
 from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel
 from .roster import Saw
-
-NOTHING_SEEN = SeenNothing()
 
 
 class _Step(NamedTuple):
@@ -54,19 +52,16 @@ class SimulatedPerson:
     population : Population or Human
         The person, or the population from which they are drawn.
     trust : TrustRule, optional
-        Rule by which theta changes; by default equation (7) with eta = 0.2.
+        Rule by which theta changes, also by what is seen of others; by default equation (7) with eta = 0.2.
     seed : int
         Random seed of the person and of all their choices.
-    sees : SeenRule
-        Rule by which theta changes by what the person sees of others.
     """
 
     def __init__(
         self, population: Population | Human, *, trust: TrustRule | None = None, seed: int = 0,
-        sees: SeenRule = NOTHING_SEEN,
     ) -> None:  # fmt: skip
-        self._sees, self._saw = sees, set[tuple[str, int]]()
-        self._seed, self._trust = seed, EquationSeven() if trust is None else trust
+        self._seed, self._saw = seed, set[tuple[str, int]]()
+        self._trust, self._sees = parts_of(EquationSeven() if trust is None else trust)
         self._count = np.zeros((), dtype=np.int64)
         self.rng = np.random.default_rng(seed)
         self.human = population if isinstance(population, Human) else population.sample(None, 1, self.rng)[0]

@@ -65,7 +65,7 @@ class TraceReasons:
             tuple(names), tuple(self._problem(int(model[one])) for one in own), policies,
             team.beliefs.of(row * count + np.arange(count)), own, np.zeros(count, dtype=np.int64), team.active[row],
             ~team.active[row], {}, here, travel.costs_of(number, here), rule,
-            float(team.fleet.extra[number, SUGGESTION]), team.neighbours, lambda: policy,
+            float(team.fleet.extra[number, SUGGESTION]), lambda: policy,
         )  # fmt: skip
         found = point.suggested(place, robot, arrived=True)
         plain = {name: part for name, part in found.as_dict().items() if part is not None}

@@ -174,7 +174,7 @@ def _event(gain: float, followed: bool, weight: float) -> SeenEvent:
 
 @dataclass(frozen=True)
 class WithSeen:
-    """A trust rule of people who also see their neighbours helped, for estimates from logs.
+    """A trust rule of people who also see their neighbours helped, in estimates from logs and in live sessions.
 
     Attributes
     ----------
@@ -195,11 +195,6 @@ class WithSeen:
             return WithSeen(own(**numbers), seen(*of_seen))
 
         return made
-
-    @property
-    def parts(self) -> tuple[TrustRule, SeenRule]:
-        """Both rules."""
-        return self.own, self.seen
 
     @property
     def uses_answer(self) -> bool:
@@ -352,10 +347,9 @@ Watched = Annotated[
 """The field of a setting."""
 
 
-def seen_part(rule: object) -> SeenRule:
-    """Return the part of a trust rule that is about neighbours."""
-    found: SeenRule = getattr(rule, "seen", SeenNothing())
-    return found
+def parts_of(rule: TrustRule) -> tuple[TrustRule, SeenRule]:
+    """Return how theta moves by suggestions to oneself, and by what is seen of neighbours, under a rule."""
+    return (rule.own, rule.seen) if isinstance(rule, WithSeen) else (rule, SeenNothing())
 
 
 def seen_rule_of(given: Neighbours | None) -> SeenRule:

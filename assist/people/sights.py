@@ -18,7 +18,8 @@ from planner.system.results import ByContent
 
 from .decision import Floats
 from .neighbourhood import Neighbourhood
-from .neighbours import SeenEvent, seen_part
+from .neighbours import SeenEvent, parts_of
+from .trust_rules import TrustRule
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -144,12 +145,12 @@ class SightTable(ByContent):
         """Return the table of some people, shape (K,)."""
         return SightTable(self.events[people])
 
-    def moves(self, rule: object) -> Callable[[Floats, int, bool], Floats]:
+    def moves(self, rule: TrustRule) -> Callable[[Floats, int, bool], Floats]:
         """Return a function of theta, shape (K, T), a suggestion, and whether what was seen was in its episode.
 
         It returns theta after what was seen then, by the part of a trust rule that is about neighbours.
         """
-        update, (gain, followed, weight, current) = seen_part(rule).update, np.moveaxis(self.events, 3, 0)[..., None]
+        update, (gain, followed, weight, current) = parts_of(rule)[1].update, np.moveaxis(self.events, 3, 0)[..., None]
         moves = [(weight > 0) & (current == now) for now in (False, True)]
         some = [[np.flatnonzero(row) for row in one.any(axis=(0, 3))] for one in moves]
 

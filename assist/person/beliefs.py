@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from ..people.choices import Choices
 from ..people.decision import Floats
+from ..people.neighbourhood import Neighbourhood
 from .joint_belief import JointBelief
 from .policy import Policy
 from .pomdp import AssistPOMDP
@@ -80,11 +81,15 @@ Groups = Iterable[tuple[PersonModel, Ints]]
 
 
 class Beliefs(Protocol):
-    """What a robot knows of P people; see the module's docstring."""
+    """What a robot knows of P people; see the module's docstring.
+
+    `neighbours` is what the people of each team see of each other, whether or not the robot knows of it.
+    """
 
     x: Ints
     belief: Floats
     erred: Bools
+    neighbours: Neighbourhood
 
     def observe(self, acts: Acts, said: Ints, groups: Groups, draw: Callable[[int], Floats]) -> None:
         """Update the beliefs in people who have acted, given by their models and numbers.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +81,6 @@ class Hidden(Seen):
         seen = [Reported(Evidence.of(model.choices, {action: 1.0})) for action in actions[x, slot].tolist()]
         self.update_by(rows[at], words, seen, model)
 
-    def moved(self, rows: Ints, low: Ints, weight: Floats) -> None:
-        """Move theta of some people whose states are known, as in `Beliefs`."""
-        assert not self.joints, "settings with neighbours and uncertain actions are refused"
-        super().moved(rows, low, weight)
-
     def update_by(self, rows: Ints, said: Ints, evidence: Sequence[Glimpse], model: PersonModel) -> None:
         """Update the beliefs in some people of one model by what was seen of their actions.
 
@@ -145,11 +140,11 @@ class Hidden(Seen):
         """Return the belief in a person over places and types, as in `Beliefs`."""
         return self.joints.get(person) or super().joint(person, policy)
 
-    def of(self, people: Ints) -> Hidden:
+    def of(self, people: Ints) -> Self:
         """Return the beliefs in some people, as in `Beliefs`."""
-        known = enumerate(people.tolist()) if self.joints else ()
-        own = {n: self.joints[k] for n, k in known if k in self.joints}
-        return Hidden(self.x[people], self.belief[people], self.erred[people], self.sight, own)
+        found, known = super().of(people), enumerate(people.tolist()) if self.joints else ()
+        found.joints = {n: self.joints[k] for n, k in known if k in self.joints}
+        return found
 
 
 class Glimpse(Protocol):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from copy import copy
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from planner.system.compiling import ReadableFirst
 
 from ..people.belief import ImpossibleObservationError, moved
 from ..people.decision import Floats
+from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from .belief_filter import update_seen
 from .belief_update import update_readable
 from .beliefs import Ask, Groups, PersonModel
@@ -34,12 +37,14 @@ class Seen:
     belief : float array, shape (P, H, T)
         The beliefs, which are kept likewise; without rows for a robot that has none.
     erred : bool array, shape (P,)
+    neighbours : Neighbourhood, optional
+        As in `Beliefs`.
     """
 
     sees_states: bool = True
 
-    def __init__(self, x: Ints, belief: Floats, erred: Bools) -> None:
-        self.x, self.belief, self.erred = x, belief, erred
+    def __init__(self, x: Ints, belief: Floats, erred: Bools, neighbours: Neighbourhood = NOBODY_SEES) -> None:
+        self.x, self.belief, self.erred, self.neighbours = x, belief, erred, neighbours
 
     def observe(self, acts: Acts, said: Ints, groups: Groups, draw: Callable[[int], Floats]) -> None:
         """Update the beliefs, as in `Beliefs`."""
@@ -92,10 +97,12 @@ class Seen:
         """The probability of states that were left out: none, shape (P,)."""
         return np.zeros(len(self.x))
 
-    def of(self, people: Ints) -> Seen:
+    def of(self, people: Ints) -> Self:
         """Return the beliefs in some people, as in `Beliefs`."""
-        belief = self.belief.take(people, axis=0) if len(self.belief) else self.belief
-        return Seen(self.x[people], belief, self.erred[people])
+        found, belief = copy(self), self.belief
+        found.belief = belief.take(people, axis=0) if len(belief) else belief
+        found.x, found.erred = self.x[people], self.erred[people]
+        return found
 
 
 def _work(rows: Ints, _acts: Acts, belief: Floats, *_: object) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
 from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of, names_of, whole_number
-from ..people.neighbours import SeenRule, Watched, moves_theta, seen_rule_of
+from ..people.neighbours import Watched, WithSeen, moves_theta, seen_rule_of
 from ..people.trust_rules import TrustRule, rule_given, trust_rule
 from .observation_model import ObservationModel
 from .robots import OfRobots, Robot, Suggestions
@@ -177,9 +177,9 @@ class Setting(OfRobots):
             if what and value != usual:
                 raise ValueError(f"{name} {value:g} has no effect without {what}; expected {usual:g}")
 
-    def seen_rule(self) -> SeenRule:
-        """Return the rule by which theta moves by what people see of each other."""
-        return seen_rule_of(self.neighbours)
+    def rule_of_people(self) -> TrustRule:
+        """Return the rule by which people's theta moves, also by what they see of each other."""
+        return WithSeen(self.trust_rule(), seen_rule_of(self.neighbours))
 
     def neighbourhood(self, places: int) -> Neighbourhood:
         """Return what `places` people see of each other."""

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
-from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from ..person.beliefs import Beliefs
 from ..person.people_arrays import PeopleArrays
 from ..person.problem_arrays import Acts
@@ -65,8 +64,6 @@ class PeopleAtWork:
     finished : bool array, shape (N, K)
     joins, leaves : int arrays, shape (K,)
         First step of the person at each place, and the step before which they leave.
-    neighbours : Neighbourhood
-        What they see of each other.
     """
 
     number: Ints
@@ -80,7 +77,6 @@ class PeopleAtWork:
     finished: Bools
     joins: Ints
     leaves: Ints
-    neighbours: Neighbourhood = NOBODY_SEES
 
 
 class Now(NamedTuple):
@@ -213,7 +209,6 @@ class Engine:
             step=int(self.clock[every].max()), active=now.active[every], location=self.robots.location[every],
             model=self.tasks.model[every], beliefs=known, policies=self.tasks.policies, travel=self.robots.travel,
             free=self.robots.free(self.clock)[every], fleet=self.robots.fleet,
-            neighbours=self.people.neighbours.believed,
         )  # fmt: skip
 
     def ask(self, questions: Questions) -> list[tuple[Asked, bool]]:

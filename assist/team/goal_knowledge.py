@@ -9,8 +9,8 @@ import numpy as np
 from ..people.hidden_type import Floats, HiddenType, Ints
 from ..person.beliefs import Beliefs
 from ..person.hidden_beliefs import Hidden
-from ..person.observation_model import ObservationModel
 from ..person.seen_beliefs import Seen
+from ..person.settings import Setting
 
 GoalKnowledge = Literal["inferred", "likeliest", "known"]
 
@@ -39,10 +39,10 @@ def acted_on(beliefs: Beliefs, hidden: HiddenType, knowledge: GoalKnowledge) -> 
     """Return the beliefs on which the robot acts; other arguments as in `first_beliefs`."""
     if knowledge != "likeliest" or not len(beliefs.belief):
         return beliefs
-    return Seen(beliefs.x, hidden.given_likeliest(beliefs.belief), beliefs.erred)
+    return Seen(beliefs.x, hidden.given_likeliest(beliefs.belief), beliefs.erred, beliefs.neighbours)
 
 
-def known_at_first(row: Ints, belief: Floats | None, sight: ObservationModel | None) -> Beliefs:
+def known_at_first(row: Ints, belief: Floats | None, setting: Setting) -> Beliefs:
     """Return what robots know of people who begin.
 
     Parameters
@@ -51,11 +51,11 @@ def known_at_first(row: Ints, belief: Floats | None, sight: ObservationModel | N
         Row of each person's state, which the robots know at first.
     belief : float array, shape (N, K, H, T), or None
         None if no beliefs are kept.
-    sight : ObservationModel or None
-        How reliably the robots see actions; None if they see all of them as they are.
+    setting : Setting
+        It says how reliably the robots see actions, and what people see of each other.
     """
     flat = np.empty((0, 1, 1)) if belief is None else belief.reshape(-1, *belief.shape[2:])
     erred = np.zeros(row.size, dtype=bool)
-    if sight is None:
-        return Seen(row.reshape(-1), flat, erred)
-    return Hidden(row.reshape(-1).copy(), flat, erred, sight)
+    if setting.observation is None:
+        return Seen(row.reshape(-1), flat, erred, setting.neighbourhood(row.shape[1]))
+    return Hidden(row.reshape(-1).copy(), flat, erred, setting.observation)

@@ -47,7 +47,7 @@ def outlook(team: TeamState, actions: int, value: Value) -> Floats:
     value : callable
         Values of people.
     """
-    (n, people), seen = team.x.shape, team.neighbours
+    (n, people), seen = team.x.shape, team.beliefs.neighbours.believed
     if not seen.watched.any():
         return np.zeros((1, 1, actions))
     found, shown = np.zeros((n * people, actions)), np.zeros((n, people), dtype=bool)
@@ -101,7 +101,7 @@ def _effects(
     key, place = np.unique(who * kinds + (of_gain * 2 + followed) * len(weights) + of_weight, return_inverse=True)
     who, kind = np.divmod(key, kinds)
     event, weight = np.divmod(kind, len(weights))
-    effect = np.zeros(len(key))
+    effect, rule = np.zeros(len(key)), team.beliefs.neighbours.rule
     model = team.model.reshape(-1)[who]
     for group in np.unique(model).tolist():
         policy = team.policies[group]
@@ -111,7 +111,7 @@ def _effects(
             told = SeenEvent(
                 gains[event[part] // 2][:, None], (event[part] % 2 == 1)[:, None], weights[weight[part]][:, None]
             )
-            theta = team.neighbours.rule.update(np.broadcast_to(grid.theta, (len(part), len(grid.theta))), told)
+            theta = rule.update(np.broadcast_to(grid.theta, (len(part), len(grid.theta))), told)
             changes = np.flatnonzero((theta != grid.theta).any(axis=1))
             part, (x, belief) = part[changes], team.known_of(who[part[changes]])
             after = moved(belief, *grid.shares(theta[changes], grid.count))
@@ -138,7 +138,7 @@ class AttentionWithOutlook(AttentionSwitching):
 def beside(policy: TeamPolicy, team: TeamState, actions: int) -> Floats:
     """Return what a policy takes the first R robot actions to be worth beside each person, shape (N, K, R).
 
-    That is what its method `beside` returns, with the team and R; 0 if it has none.
+    That is what its method `beside` returns, with the team and R, or that of its `base`; 0 if it has none.
     """
-    own = getattr(policy, "beside", None)
+    own = getattr(policy, "beside", getattr(getattr(policy, "base", None), "beside", None))
     return np.broadcast_to(np.zeros(1) if own is None else own(team, actions), (*team.x.shape, actions))

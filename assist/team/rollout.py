@@ -182,10 +182,6 @@ class Rollout:
         each = np.arange(len(team.x))
         return TeamAction(*(np.stack([getattr(one, name) for one in actions])[best, each] for name in _ACTION))
 
-    def beside(self, team: TeamState, actions: int) -> Floats:
-        """Return what the first R robot actions are worth beside each person to priority."""
-        return self.base.beside(team, actions)
-
     def _alternatives(self, team: TeamState) -> tuple[list[TeamAction], Bools]:
         """Return priority's action and C alternatives, and which alternatives are to be simulated, shape (N, C)."""
         robot, going, holding = self.base.worth(team)
@@ -330,13 +326,13 @@ class _Paths:
         them = PeopleAtWork(
             mind, PathNumbers(rng, self.pairs, (samples, people)), True, place, state.copy(), np.zeros_like(state),
             grid.theta[cell], grid.count[cell], ~active, np.zeros(people, dtype=np.int64),
-            np.full(people, np.iinfo(np.int64).max), team.neighbours,
+            np.full(people, np.iinfo(np.int64).max),
         )  # fmt: skip
         known = team.beliefs.of((own[:, None] * people + np.arange(people)).reshape(-1))
         robots = RobotsAtWork(team.fleet, team.travel, len(own))
         self.engine = Engine(
             PathTasks(team.policies, rollout.models, model, mind), them, robots,
-            Seen(them.row.reshape(-1), known.belief, known.erred),
+            Seen(them.row.reshape(-1), known.belief, known.erred, known.neighbours.believed),
         )  # fmt: skip
         # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
         self.engine.clock[:] = team.step

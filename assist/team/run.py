@@ -142,14 +142,14 @@ class Simulation:
         row = np.ascontiguousarray(tasks.rows(place, np.arange(place.size)))
         them = PeopleAtWork(
             people, draws, wanted.world == "model", place, row, began.goal, began.theta, np.zeros_like(place),
-            began.finished, wanted.presence.joins, wanted.presence.leaves, pool.setting.neighbourhood(place.shape[1]),
+            began.finished, wanted.presence.joins, wanted.presence.leaves,
         )  # fmt: skip
         hidden, knowledge = pool.hidden, wanted.goals
         prior: Floats | None = None
         if beliefs or pool.setting.observation is not None:
             each = np.array([policy.pomdp.prior for policy in pool.policies])[began.model]
             prior = first_beliefs(each, hidden, began.goal, knowledge)
-        known = known_at_first(them.row, prior, pool.setting.observation)
+        known = known_at_first(them.row, prior, pool.setting)
         robots = RobotsAtWork(pool.setting.fleet, wanted.travel, len(people))
         return Engine(tasks, them, robots, known, partial(acted_on, hidden=hidden, knowledge=knowledge))
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
-from ..people.neighbourhood import Helped, Neighbourhood, seen_value
+from ..people.neighbourhood import Helped, seen_value
 from ..person.beliefs import Beliefs, PersonModel
 from ..person.policy import Policy
 from ..person.problem_arrays import Acts
@@ -23,7 +23,6 @@ class Watching(Protocol):
     on_grid: bool
     theta: Floats
     seen: Ints
-    neighbours: Neighbourhood
 
 
 class Saw(NamedTuple):
@@ -55,7 +54,7 @@ def let_see(
     draw : callable
         Returns uniform numbers, shape (N * K,), of a kind of `CommonRandomNumbers`.
     """
-    shape, seen = them.theta.shape, them.neighbours
+    shape, seen = them.theta.shape, beliefs.neighbours
     shown = seen.told(acts.robot.reshape(shape))
     if not shown.any():
         return Saw()

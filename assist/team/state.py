@@ -18,7 +18,6 @@ from planner.system.arrays import outline
 
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
-from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from ..people.user_code import UserCodeError
 from ..person.beliefs import Ask, Beliefs
 from ..person.fleet import Fleet
@@ -80,8 +79,6 @@ class TeamState:
         Which robots are not under way; all, by default.
     fleet : Fleet
         The M robots, whose actions may cost more than in people's problems; one without fields of its own by default.
-    neighbours : Neighbourhood
-        What people see of each other, as far as the robots know.
     x : int array, shape (N, K)
         Task state of each person, the most probable one if it is uncertain; from `beliefs`.
     erred : bool array, shape (N, K)
@@ -100,7 +97,6 @@ class TeamState:
     travel: Travel
     free: NDArray[np.bool_] = field(default_factory=lambda: np.ones((), dtype=bool), kw_only=True)
     fleet: Fleet = field(default=Fleet.of((Robot(),)), kw_only=True)
-    neighbours: Neighbourhood = field(default=NOBODY_SEES, kw_only=True)
     x: NDArray[np.int64] = field(init=False)
     erred: NDArray[np.bool_] = field(init=False)
     belief: Floats | None = field(init=False)

@@ -77,9 +77,10 @@ class Whittle:
         """Return the action of going to the person with the largest index, or of staying, in every team."""
         return to_the_best(team, *self.worth(team))
 
-    def beside(self, team: TeamState, actions: int) -> Floats:
-        """Return what the first R robot actions are worth beside each person, at the lowest price."""
-        return self.at_prices[0].beside(team, actions)
+    @property
+    def base(self) -> Priority:
+        """The value of presence at the lowest price."""
+        return self.at_prices[0]
 
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Return each robot's action towards each person and the index of going there, both (N, M, K), and of staying.

@@ -265,9 +265,9 @@ class ServedTeam:
 
     def seats(self) -> SimulatedSeats:
         """Draw the simulated people."""
-        rules: Any = {"trust": self.setting.trust_rule(), "sees": self.setting.seen_rule()}
+        rule = self.setting.rule_of_people()
         people = {
-            name: SimulatedPerson(self.population, seed=self.setting.seed + number, **rules)
+            name: SimulatedPerson(self.population, trust=rule, seed=self.setting.seed + number)
             for number, name in enumerate(self.simulated)
         }
         return SimulatedSeats(people, self.setting.pace, self.setting.observation)

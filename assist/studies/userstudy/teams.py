@@ -116,9 +116,7 @@ class Teams(Roll):
 
             def mates() -> list[SimulatedPerson]:
                 seeds = np.random.SeedSequence([self.study.seed, number]).generate_state(count, np.uint64).tolist()
-                one = partial(
-                    SimulatedPerson, self.study.population, trust=setting.trust_rule(), sees=setting.seen_rule()
-                )
+                one = partial(SimulatedPerson, self.study.population, trust=setting.rule_of_people())
                 return [one(seed=seed) for seed in seeds]
 
             person.teams[key] = ParticipantTeam(

@@ -120,7 +120,7 @@ def worked(task: Table, file: Path, people: int, tasks: int) -> tuple[list[dict[
     population = Population(beta=(0.5, 1.5), theta=(0.2, 0.8), sigma=(0.0, 0.0))
     session = Session(task, file, setting=setting, policy=Quiet(), population=population, clock=lambda: 0.0)
     crew = {
-        f"p{number}": SimulatedPerson(population, trust=constant(), seed=1000 + number, sees=setting.seen_rule())
+        f"p{number}": SimulatedPerson(population, trust=setting.rule_of_people(), seed=1000 + number)
         for number in range(people)
     }
     rng, late, thetas = np.random.default_rng(5), f"p{people - 1}", list[dict[str, Any]]()

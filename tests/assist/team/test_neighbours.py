@@ -351,7 +351,7 @@ def test_people_of_an_environment_see_each_other(tiny: Table, known: bool) -> No
     teams.draw_from(draws)
     teams.begin(every, np.tile([0, 1, 2], (4, 1)), lambda kind: draws.draw(kind, every))
     before, state = teams.theta.copy(), teams.state()
-    assert (state.neighbours is not NOBODY_SEES) == known
+    assert (state.beliefs.neighbours.believed is not NOBODY_SEES) == known
     taken = teams.step(every, state.act(np.zeros(4, dtype=np.int64), state.first_optimal()))
     suggested = pool.policies[0].pomdp.suggested[taken.before[:, 0], taken.robot[:, 0]]
     moved = np.where(taken.slot[:, 0] == suggested, 0.03, -0.02)
