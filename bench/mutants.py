@@ -3,10 +3,10 @@
     python bench/mutants.py [MODULE]... [--sample N] [--seed S] [--only TESTS] [--record FILE [--more]]
 
 A change replaces a comparison or an operator, increases a number by one, negates a condition, or removes an argument or
-a statement. The tests are collected once. Each mutant then runs, in a forked process, the tests that call the changed
-function, fastest first. The mutant is killed when a test fails, or exceeds a multiple of its processor time without the
-change. Compiled functions, module-level code, error messages, default values and tests that are marked as long or slow
-are excluded.
+a statement. MODULE is a file, or a room: then `--sample` draws from all its files. The tests are collected once. Each
+mutant then runs, in a forked process, the tests that call the changed function, fastest first. The mutant is killed
+when a test fails, or exceeds a multiple of its processor time without the change. Compiled functions, module-level
+code, error messages, default values and tests that are marked as long or slow are excluded.
 """
 
 from __future__ import annotations
@@ -63,8 +63,26 @@ TESTS = {
     "assist/certify/team_bound.py": "test_certify test_upper_bound test_different_robots",
     "assist/certify/certificate.py": "test_certify",
     "assist/certify/prices.py": "test_attention_prices test_certify test_different_robots",
+    "planner/system": "planner/system planner/batch",
+    "planner/pddl": "planner/pddl",
+    "planner/grounding": "planner/grounding test_engine test_engine_numbers",
+    "planner/search": "planner/search test_engine test_engine_numbers",
+    "planner/costtogo": "planner/costtogo test_engine test_engine_numbers",
+    "planner/batch": "planner/batch",
+    "assist/declare": "assist/declare assist/people",
+    "assist/people": "assist/people",
+    "assist/person": "assist/person",
+    "assist/team": "assist/team",
+    "assist/certify": "assist/certify",
+    "assist/learning": "assist/learning",
+    "assist/drawing": "assist/drawing",
+    "assist/live": "assist/live",
+    "assist/studies": "assist/studies",
+    "assist/web": "assist/web",
+    "assist/connect": "assist/connect",
+    "assist/cli": "assist/cli",
 }
-"""The modules, and the tests that should detect changes of them."""
+"""The modules and rooms, and the files and folders of tests that should detect changes of them."""
 
 COLUMNS: Columns = {
     "module": lambda row: f"`{row['module']}`",
@@ -166,10 +184,16 @@ def shown(node: ast.AST) -> str:
 
 
 class Mutant:
-    """One change of one function of a module, with the function's qualified name."""
+    """One change of one function of a module."""
 
-    def __init__(self, tree: ast.Module, path: list[str], name: str, number: int, told: str) -> None:
-        self.tree, self.path, self.name, self.number, self.told = tree, path, name, number, told
+    def __init__(self, module: types.ModuleType, tree: ast.Module, path: list[str], number: int, told: str) -> None:
+        self.module, self.tree, self.path, self.number, self.told = module, tree, path, number, told
+        self.name = ".".join(path)
+
+    @property
+    def function(self) -> tuple[str, str]:
+        """Return the file and the qualified name of the function."""
+        return str(self.module.__file__), self.name
 
     def program(self) -> ast.Module:
         """Return the syntax tree of the module with the change."""
@@ -181,10 +205,10 @@ class Mutant:
         parent.body = [change.visit(statement) for statement in parent.body]
         return ast.fix_missing_locations(tree)
 
-    def take_place(self, module: types.ModuleType) -> None:
+    def take_place(self) -> None:
         """Replace the code of the module's function by the changed code."""
-        code = compile(self.program(), str(module.__file__), "exec")
-        function = function_of(module, self.path)
+        code = compile(self.program(), str(self.module.__file__), "exec")
+        function = function_of(self.module, self.path)
         assert function is not None
         function.__code__ = next(inner for inner in codes(code) if inner.co_qualname == self.name)
 
@@ -221,49 +245,54 @@ def mutants_of(module: types.ModuleType) -> list[Mutant]:
             counted = Change()
             for statement in copy.deepcopy(node).body:
                 counted.visit(statement)
-            found += [Mutant(tree, path, ".".join(path), number, told) for number, told in enumerate(counted.told)]
+            found += [Mutant(module, tree, path, number, told) for number, told in enumerate(counted.told)]
     return found
+
+
+Called = dict[tuple[str, str], dict[str, float]]
+"""For each function, by file and qualified name: the tests that call it, with their seconds."""
 
 
 class Run:
     """A pytest plugin that runs the tests of each mutant after all tests were collected."""
 
-    def __init__(self, file: str, sample: int | None, seed: int) -> None:
-        self.file, self.sample, self.seed = file, sample, seed
-        self.called: dict[str, dict[str, float]] | None = (
-            None  # for each function: the tests that call it, with their seconds
-        )
+    def __init__(self, place: str, sample: int | None, seed: int) -> None:
+        self.place, self.sample, self.seed = place, sample, seed
+        self.called: Called | None = None  # while calls are recorded
         self.count, self.results = 0, list[tuple[Mutant, str]]()
         self.allowed: dict[str, float] = {}  # tests of a mutant, with their seconds without the change
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Run the mutants, instead of the tests once."""
-        module = importlib.import_module(self.file.removesuffix(".py").replace("/", "."))
-        called = self.calls(session, module)
-        mutants = mutants_of(module)
+        path = ROOT / self.place
+        files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
+        names = [".".join(file.relative_to(ROOT).with_suffix("").parts) for file in files if file.stem != "__init__"]
+        mutants = [mutant for name in names for mutant in mutants_of(importlib.import_module(name))]
+        called = self.calls(session, {str(file) for file in files})
         self.count = len(mutants)
         if self.sample is not None and self.sample < len(mutants):
-            mutants = sorted(random.Random(self.seed).sample(mutants, self.sample), key=lambda m: (m.path, m.number))
+            drawn = random.Random(self.seed).sample(range(len(mutants)), self.sample)
+            mutants = [mutants[number] for number in sorted(drawn)]
         for mutant in mutants:
-            tests = called.get(mutant.name, {})
-            end = self.end_of(session, module, mutant, tests) if tests else "not reached"
+            tests = called.get(mutant.function, {})
+            end = self.end_of(session, mutant, tests) if tests else "not reached"
             self.results.append((mutant, end))
-            print(f"{self.file} {mutant.name}, {mutant.told}: {end}", flush=True)
+            print(f"{mutant.module.__name__} {mutant.name}, {mutant.told}: {end}", flush=True)
         return True
 
-    def calls(self, session: pytest.Session, module: types.ModuleType) -> dict[str, dict[str, float]]:
+    def calls(self, session: pytest.Session, files: set[str]) -> Called:
         """Run the unchanged tests; return the tests that call each function. Calls during setup count for all tests."""
 
-        def work() -> dict[str, dict[str, float]] | None:
-            self.called, self.module_file = defaultdict(dict), str(module.__file__)
+        def work() -> Called | None:
+            self.called, self.files, self.in_setup = defaultdict(dict), files, set[tuple[str, str]]()
             failed = run(session)
-            for name in self.called.pop("setup", {}):
-                self.called[name] = {item.nodeid: 1.0 for item in session.items} | self.called[name]
+            for function in self.in_setup:
+                self.called[function] = {item.nodeid: 1.0 for item in session.items} | self.called[function]
             return None if failed else dict(self.called)
 
         found = forked(work)
         if found is None:
-            raise pytest.UsageError(f"{self.file}: its tests fail without a change")
+            raise pytest.UsageError(f"{self.place}: its tests fail without a change")
         return found
 
     @pytest.hookimpl(wrapper=True)
@@ -281,32 +310,32 @@ class Run:
         return (yield from self.watched("call", item))
 
     def watched(self, phase: str, item: pytest.Item) -> Iterator[None]:
-        """Record the functions of the module that are called."""
+        """Record the functions of the files that are called."""
         if self.called is None:
             return (yield)
-        names, begun = set[str](), time.process_time()
+        functions, begun = set[tuple[str, str]](), time.process_time()
 
         def called(frame: types.FrameType, event: str, _: Any) -> None:
-            if event == "call" and frame.f_code.co_filename == self.module_file:
-                names.add(frame.f_code.co_qualname.partition(".<locals>")[0])
+            if event == "call" and frame.f_code.co_filename in self.files:
+                functions.add((frame.f_code.co_filename, frame.f_code.co_qualname.partition(".<locals>")[0]))
 
         sys.setprofile(called)
         try:
             return (yield)
         finally:
             sys.setprofile(None)
-            for name in names:
-                if phase == "setup":
-                    self.called["setup"][name] = 0.0
-                else:
-                    self.called[name][item.nodeid] = time.process_time() - begun
+            if phase == "setup":
+                self.in_setup |= functions
+            else:
+                for function in functions:
+                    self.called[function][item.nodeid] = time.process_time() - begun
 
-    def end_of(self, session: pytest.Session, module: types.ModuleType, mutant: Mutant, tests: dict[str, float]) -> str:
+    def end_of(self, session: pytest.Session, mutant: Mutant, tests: dict[str, float]) -> str:
         """Return the outcome of a mutant."""
         if (child := os.fork()) == 0:
             self.allowed = tests
             session.items[:] = sorted((i for i in session.items if i.nodeid in tests), key=lambda i: tests[i.nodeid])
-            mutant.take_place(module)
+            mutant.take_place()
             os._exit(run(session))
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         if status < 0:  # SIGXCPU: processor time exceeded; SIGALRM: wall-clock time exceeded
@@ -350,11 +379,15 @@ def forked(work: Callable[[], Any]) -> Any:
     return pickle.loads(content) if os.waitpid(child, 0)[1] == 0 else None
 
 
-def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[int, list[tuple[str, str]]]:
-    """Run the mutants of a module; return their total number, and the outcomes of those that were run."""
-    plugin = Run(file, sample, seed)
-    tests = [str(next((ROOT / "tests").rglob(f"{name}.py"))) for name in TESTS[file].split()]
-    with tempfile.TemporaryDirectory() as folder:
+def mutate(place: str, sample: int | None, seed: int, only: str | None) -> tuple[int, list[tuple[str, str]]]:
+    """Run the mutants of a module or room; return their total number, and the outcomes of those that were run."""
+    plugin = Run(place, sample, seed)
+    folder = ROOT / "tests"
+    tests = [
+        str(folder / name if (folder / name).is_dir() else next(folder.rglob(f"{name}.py")))
+        for name in TESTS[place].split()
+    ]
+    with tempfile.TemporaryDirectory() as temporary:
         options = [
             "-x",
             "-s",
@@ -369,8 +402,12 @@ def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[
             "-m",
             "not long and not slow",
         ]
-        pytest.main([*tests, *options, *(["-k", only] if only else []), f"--basetemp={folder}/run"], plugins=[plugin])
-    return plugin.count, [(f"{mutant.name}, {mutant.told}", end) for mutant, end in plugin.results]
+        pytest.main(
+            [*tests, *options, *(["-k", only] if only else []), f"--basetemp={temporary}/run"], plugins=[plugin]
+        )
+    return plugin.count, [
+        (f"{mutant.module.__name__} {mutant.name}, {mutant.told}", end) for mutant, end in plugin.results
+    ]
 
 
 @click.command()
@@ -385,7 +422,7 @@ def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[
 def main(
     modules: tuple[str, ...], sample: int | None, seed: int, only: str | None, record: Path | None, more: bool
 ) -> None:
-    """Run the mutants of modules, and print those that survive."""
+    """Run the mutants of modules or rooms, and print those that survive."""
     os.chdir(ROOT)
     phases = [Phase.explicit, Phase.generate]
     settings.register_profile("mutants", phases=phases, database=None, deadline=None, max_examples=30)
@@ -401,7 +438,7 @@ def main(
         rows.append({"module": module, "count": count, "run": len(results), "killed": killed})
         for told, end in results:
             if not end.startswith("killed"):
-                print(f"{module} {told}: {end}")
+                print(f"{told}: {end}")
         for name, show in COLUMNS.items():
             print(f"{name}: {show(rows[-1])}")
     write_record(record, COLUMNS, rows, more=more)
