@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from statistics import NormalDist
 
 import numpy as np
@@ -92,7 +93,7 @@ def end_of(
     outwards: Iterable[float],
     tolerance: float,
     relative: float = 1e-12,
-) -> tuple[float, bool]:  # fmt: skip
+) -> tuple[float, bool]:
     """Return the end of an interval, and whether it is open: nothing up to the last value is rejected.
 
     Parameters
@@ -106,11 +107,12 @@ def end_of(
     tolerance, relative : float
         Largest error of the end: of a value, and as a share of it.
     """
+    known = cache(margin)  # the root finder begins with the values at both ends
     for outside in outwards:
-        if margin(outside) < 0:
-            root = scipy.optimize.brentq
-            found = root(margin, inside, outside, xtol=tolerance, rtol=relative) if margin(inside) > 0 else inside
-            return float(found), False
+        if known(outside) < 0:
+            if known(inside) <= 0:
+                return inside, False
+            return float(scipy.optimize.brentq(known, inside, outside, xtol=tolerance, rtol=relative)), False
         inside = outside
     return inside, True
 
