@@ -83,8 +83,9 @@ def families(method: Method) -> dict[str, RuleFamily]:
 
 
 def parameters_of(rule: TrustRule) -> dict[str, float]:
-    """Return the numbers that a rule has, by name."""
-    numbers = [(name, value) for part in parts_of(rule) for name, value in vars(part).items()]
+    """Return the numbers that a rule has, by name; a theta that never moves has none."""
+    parts = [part for part in parts_of(rule) if part != constant()]
+    numbers = [(name, value) for part in parts for name, value in vars(part).items()]
     return {name: float(value) for name, value in numbers if type(value) in (int, float)}
 
 
