@@ -1,39 +1,66 @@
 """Logs of judgements with advice: people choose, see advice, and choose again.
 
 Such data tell how people take advice where no task in PDDL is involved. A log is a CSV file with a line for each
-judgement and the columns of `COLUMNS`; `OPTIONAL` is used where confidences are about choice 1, and other columns are
+judgement (`Judgement`); the advisor's confidence is used where confidences are about choice 1, and other columns are
 ignored. Choices are 0 or 1.
 """
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from planner.system.arrays import read_only
 from planner.system.errors import InputFileError
 from planner.system.results import Result
+from planner.system.signs import plain
 
+from ..declare.declared import AnyText, DeclarationError, Expected, Number, Text, declared, sentences
 from ..people.decision import Floats
-
-COLUMNS = (
-    "person", "sequence", "trial", "own_choice", "own_confidence", "advice", "final_choice", "outcome",
-    "feedback_shown",
-)  # fmt: skip
-OPTIONAL = "advice_confidence"
-OTHER_NAMES = {"feedback_shown": "feedback"}
-"""Names that columns may have instead."""
-ONE_ADVISOR = "sequence"
-"""A column that may be missing where each person has one advisor."""
+from .log_files import lines_of
+from .log_rows import Broken, Taken
+from .log_tables import read_table
 
 Confidence = Literal["own", "one"]
+
+
+def _flag(value: float) -> bool:
+    if value not in (0, 1):
+        raise PydanticCustomError("kind", "0 or 1")
+    return value == 1
+
+
+Flag = Annotated[Number, AfterValidator(_flag), Expected("0 or 1")]
+Percent = Annotated[Number, Field(ge=0, le=100)]
+
+
+@declared
+class Judgement:
+    """A line of a log of advice."""
+
+    person: Annotated[Text, Expected("a name"), Field(description="Name of the person.")]
+    sequence: Annotated[AnyText, Field(description="Name of the advisor; may be missing where each person has one.")]
+    trial: Annotated[Number, Field(ge=0, description="Number of the judgement among those of the person.")]
+    own_choice: Annotated[Flag, Field(description="The first choice.")]
+    own_confidence: Annotated[Percent, Field(description="Confidence in it, or in choice 1.")]
+    advice: Annotated[Flag, Field(description="The choice that is advised.")]
+    final_choice: Annotated[Flag, Field(description="The choice after the advice.")]
+    outcome: Annotated[Flag, Field(description="The choice that was right.")]
+    feedback_shown: Annotated[Flag, Field(description="Whether the person saw that; or `feedback`.")]
+    advice_confidence: Annotated[Percent | None, Field(description="The advisor's confidence in choice 1.")] = None
+
+
+*COLUMNS, OPTIONAL = sentences(Judgement)
+OTHER_NAMES = {"feedback_shown": "feedback"}
+"""Names that columns may have instead."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,95 +144,85 @@ def read_advice(
         A column is missing or there twice, a line has no number where one is expected, a trial is there twice, or no
         confidence exceeds 1; with the file and the line.
     """
-    path = Path(file)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.DictReader(stream)
-            header = reader.fieldnames or ()
-            names = {name: name if name in header else OTHER_NAMES.get(name, name) for name in COLUMNS}
-            missing = [name for name, own in names.items() if own not in header and name != ONE_ADVISOR]
-            if missing:
-                raise InputFileError(f"{path}:1: no column '{missing[0]}'; expected {', '.join(COLUMNS)}")
-            twice = next((name for name in (*names.values(), OPTIONAL) if list(header).count(name) > 1), None)
-            if twice is not None:
-                raise InputFileError(f"{path}:1: two columns '{twice}'; expected one")
-            wanted = dict(rows or {})
-            unknown = next((name for name in wanted if name not in header), None)
-            if unknown is not None:
-                raise InputFileError(
-                    f"{path}:1: no column '{unknown}' to choose rows by; there are {', '.join(header)}"
-                )
-            every = [
-                (reader.line_num, row | {name: row.get(own) or "" for name, own in names.items()}) for row in reader
-            ]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputFileError(f"{path}: {error}") from None
-    found = [
-        (line, row) for line, row in every if all((row[name] or "").strip() == value for name, value in wanted.items())
-    ]
+    path, wanted = Path(file), dict(rows or {})
+    every = _lines(path, wanted)
+    found = [(line, row) for line, row in every if all(row[name] == value for name, value in wanted.items())]
     if not found:
-        raise InputFileError(f"{path}: {_nothing_left(every, wanted)}")
-
-    def number(line: int, row: dict[str, str], name: str, most: float) -> float:
-        try:
-            value = float(row[name])
-        except (TypeError, ValueError):
-            raise InputFileError(f"{path}:{line}: {name} '{row[name]}'; expected a number") from None
-        if not 0 <= value <= most:
-            raise InputFileError(f"{path}:{line}: {name} {value:g}; expected 0 to {most:g}")
-        return value
-
-    if confidence == "own" and any(row.get(OPTIONAL) for _, row in found):
-        expected = "confidences about choice 1 (confidence 'one'), or no such column"
-        raise InputFileError(
-            f"{path}:1: {OPTIONAL} is not used with confidences about the own choice; expected {expected}"
-        )
-    seen: dict[tuple[str, str, float], int] = {}
+        raise InputFileError(f"{path}: {_nothing_left([row for _, row in every], wanted)}")
+    judged, seen = [], dict[tuple[str, str, float], int]()
     for line, row in found:
-        if not row["person"].strip():
-            raise InputFileError(f"{path}:{line}: person ''; expected a name")
-        trial = number(line, row, "trial", np.inf)
-        first_line = seen.setdefault((row["person"], row["sequence"], trial), line)
+        one = _judgement(row, f"{path}:{line}")
+        first_line = seen.setdefault((one.person, one.sequence, one.trial), line)
         if first_line != line:
-            raise InputFileError(f"{path}:{line}: trial {trial:g} of {row['person']} is on line {first_line} already")
-    found.sort(key=lambda entry: (entry[1]["person"], number(entry[0], entry[1], "trial", np.inf)))
-
-    def flag(line: int, row: dict[str, str], name: str) -> bool:
-        value = number(line, row, name, 1)
-        if value not in (0, 1):
-            raise InputFileError(f"{path}:{line}: {name} {value:g}; expected 0 or 1")
-        return value == 1
-
-    flags = ("own_choice", "advice", "final_choice", "outcome", "feedback_shown")
-    own, advice, final, outcome, shown = (
-        np.array([flag(line, row, name) for line, row in found], dtype=bool) for name in flags
+            raise InputFileError(f"{path}:{line}: trial {one.trial:g} of {one.person} is on line {first_line} already")
+        judged.append(one)
+    if confidence == "own" and any(one.advice_confidence is not None for one in judged):
+        expected = "confidences about choice 1 (confidence 'one'), or no such column"
+        told = f"{OPTIONAL} is not used with confidences about the own choice; expected {expected}"
+        raise InputFileError(f"{path}:1: {told}")
+    judged.sort(key=lambda one: (one.person, one.trial))
+    own, advice, final, outcome, shown, stated = (
+        np.array([getattr(one, name) for one in judged])
+        for name in ("own_choice", "advice", "final_choice", "outcome", "feedback_shown", "own_confidence")
     )
-    stated = np.array([number(line, row, "own_confidence", 100) for line, row in found])
     if 0 < stated.max() <= 1:
         raise InputFileError(f"{path}: own_confidence is at most {stated.max():g} in all lines; expected 0 to 100")
     sure = stated / 100 if confidence == "own" else np.where(own, 1, -1) * (stated - 50) / 50
-    advised = np.array(
-        [
-            abs(number(line, row, OPTIONAL, 100) - 50) / 50 - 0.5 if row.get(OPTIONAL) and confidence == "one" else 0.0
-            for line, row in found
-        ]
-    )
-    person = np.array([row["person"] for _, row in found])
+    advised = [0.0 if one.advice_confidence is None else abs(one.advice_confidence - 50) / 50 - 0.5 for one in judged]
+    person = np.array([one.person for one in judged])
     first = np.append(True, person[1:] != person[:-1])
-    numbers: list[int] = []
-    known: dict[str, int] = {}
-    for begins, (_, row) in zip(first.tolist(), found, strict=True):
-        known = {} if begins else known
-        numbers.append(known.setdefault(row["sequence"], len(known)))
+    advisors: dict[str, dict[str, int]] = {}
+    numbers = [(known := advisors.setdefault(one.person, {})).setdefault(one.sequence, len(known)) for one in judged]
     return AdviceLog(
-        person, first, np.array(numbers), own == advice, final == advice, advice == outcome, shown, sure, advised
-    )
+        person, first, np.array(numbers), own == advice, final == advice, advice == outcome, shown, sure,
+        np.array(advised),
+    )  # fmt: skip
 
 
-def _nothing_left(every: list[tuple[int, dict[str, str]]], wanted: Mapping[str, str]) -> str:
+def _lines(path: Path, wanted: Iterable[str]) -> list[tuple[int, dict[str, str]]]:
+    """Return the cells of each line by the names of columns; those of `Judgement` have their own name there."""
+    try:
+        lines = lines_of(path.read_bytes(), Taken())
+    except OSError as error:
+        raise InputFileError(f"{path}: {error}") from None
+    (number, head), rows = read_table(lines, (*COLUMNS, OPTIONAL), lambda _: frozenset(), Taken())
+    broken = next(((line, row) for line, row in rows if isinstance(row, Broken)), None)
+    if broken is not None:
+        raise InputFileError(f"{path}:{broken[0]}: {broken[1].message}")
+    named = {plain(name).lower(): name for name in head}
+    names = {name: named.get(name, named.get(OTHER_NAMES.get(name, ""))) for name in (*COLUMNS, OPTIONAL)}
+    for name in COLUMNS:
+        if names[name] is None and name != "sequence":
+            raise InputFileError(f"{path}:{number}: no column '{name}'; expected {', '.join(COLUMNS)}")
+    for name in wanted:
+        if name not in head:
+            raise InputFileError(f"{path}:1: no column '{name}' to choose rows by; there are {', '.join(head)}")
+    return [(line, row | {name: row.get(own or "", "") for name, own in names.items()}) for line, row in rows]
+
+
+def _judgement(row: Mapping[str, str], place: str) -> Judgement:
+    """Return the judgement in a line; numbers are written as texts there."""
+    given: dict[str, Any] = {name: row[name] for name in (*COLUMNS, OPTIONAL)}
+    for name in COLUMNS[2:]:
+        given[name] = _number(row[name])
+    given[OPTIONAL] = _number(row[OPTIONAL]) if row[OPTIONAL] else None
+    try:
+        return Judgement(**given)
+    except DeclarationError as error:
+        raise InputFileError(f"{place}: {error}") from None
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _nothing_left(every: list[dict[str, str]], wanted: Mapping[str, str]) -> str:
     """Return why no judgement is left: there is none, or none with the wanted values of columns."""
     for name, value in wanted.items():
-        there = sorted({(row[name] or "").strip() for _, row in every})
+        there = sorted({row[name] for row in every})
         if value not in there:
             return f"no judgement has {name} {value}; there are {', '.join(there[:10])}{', ...' * (len(there) > 10)}"
     return f"no judgement {'has all of the chosen values' if every else 'is there'}; expected a line for each"

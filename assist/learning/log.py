@@ -23,8 +23,8 @@ from typing import Any, cast
 from planner.system.results import Result
 
 from ..people.action_names import words_of, wrong_form
-from .log_files import IN_TEAM, NEEDED, Taken, is_hidden, named_rows, own_names, read_records, tidy
-from .log_json import Broken, Names, Row
+from .log_files import IN_TEAM, NEEDED, is_hidden, named_rows, own_names, read_records, tidy
+from .log_rows import Broken, Names, Row, Taken
 from .log_steps import moment
 
 EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'

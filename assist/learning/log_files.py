@@ -7,25 +7,25 @@ become faults with their lines.
 
 from __future__ import annotations
 
-import csv
 import difflib
 import json
 import re
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from unicodedata import category
 
 import numpy as np
 
-from planner.system.signs import changed, plain
+from planner.system.signs import plain
 
 from ..people.action_names import words_of, wrong_form
-from .log_json import Broken, Names, Row, read_json
+from .log_json import read_json
+from .log_rows import Broken, Names, Row, Taken
 from .log_steps import is_plain, number_times, whole
+from .log_tables import has_columns, read_table
 
 COLUMNS = ("person", "episode", "step", "action", "suggestion", "executed", "place", "order", "since")
 NEEDED = COLUMNS[:4]
@@ -52,53 +52,6 @@ BINARY = {
 }
 """First bytes of files that are no text."""
 
-SEPARATORS = ",;\t| "
-
-RULE = re.compile(r"[\s|+:=-]*-{2}[\s|+:=-]*|\(\d+ rows?\)")
-"""Lines that only frame a table, or count its rows, as databases print them."""
-
-
-@dataclass
-class Taken:
-    """How a file was interpreted."""
-
-    said: list[str] = field(default_factory=list)
-    missing: dict[str, None] = field(default_factory=dict)
-    steps: list[str] = field(default_factory=list)
-    times: str | None = None
-    signs: dict[str, int] = field(default_factory=dict)
-    idle: list[int] = field(default_factory=list)
-    outside: list[int] = field(default_factory=list)
-    heads: list[int] = field(default_factory=list)
-    doubtful: list[int] = field(default_factory=list)
-    asked: list[str] = field(default_factory=list)
-
-    def __str__(self) -> str:
-        said = list(self.said)
-        if self.missing:
-            said.append(f"{' and '.join(map(repr, self.missing))} as a missing value")
-        if self.steps and self.times is None:
-            said.append(f"steps such as {self.steps[0]!r} as whole numbers")
-        if self.times is not None:
-            said.append(f"steps such as {self.times!r} as times, in whose order actions are numbered")
-        said += [f"{sign} (first on line {line})" for sign, line in self.signs.items()]
-        said += _lines_as(self.idle, "without an action", "as nothing done")
-        said += _lines_as(self.outside, "without an action in a step of an episode", "as no part of one")
-        said += _lines_as(self.doubtful, "with an action that was seen with doubt (`uncertain`)", "as if it was done")
-        said += _lines_as(self.heads, "with the names of the columns", "as the beginning of a further table")
-        return "; ".join([*[f"read {', '.join(said)}"] * bool(said), *self.asked])
-
-    def plain(self, text: str, line: int) -> str:
-        """Return a text as `plain` does, and note what a reader would not have seen in it."""
-        for sign in changed(text):
-            self.signs.setdefault(sign, line)
-        return plain(text)
-
-
-def _lines_as(lines: Sequence[int], which: str, what: str) -> list[str]:
-    others = f" and {len(lines) - 1:,} more" if len(lines) > 1 else ""
-    return [f"line {lines[0]}{others}, {which}, {what}"] if lines else []
-
 
 def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) -> tuple[list[Row], Taken]:
     """Return a file's records, and how it was interpreted.
@@ -118,19 +71,16 @@ def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) 
     ValueError
         `columns` has a name that the file does not have.
     """
-    taken, data = Taken(), file.read_bytes()
-    for mark, kind in BINARY.items():
-        if data.startswith(mark):
-            return [(1, Broken(f"this is {kind}; expected a text file, CSV or JSON Lines"))], taken
-    lines = _lines(data, taken)
+    taken = Taken()
+    lines = lines_of(file.read_bytes(), taken)
     texts = [line for line in lines if isinstance(line, str) and line.strip()]
     head = texts[0].strip() if texts else ""
-    if head.startswith(("{", "[")) or not _is_table(file, texts, columns):
-        own = {columns.get(name, name) for name in COLUMNS}
+    own = {columns.get(name, name) for name in COLUMNS}
+    if head.startswith(("{", "[")) or not _is_table(file, texts, own):
         rows = read_json(lines, lambda key: isinstance(key, str) and plain(key).lower() in own, _owners)
         rows = named_rows(rows, columns, file, taken)
     else:
-        rows = list(_table(lines, columns, file, taken))
+        rows = _from_table(lines, columns, file, taken)
     return tidy(rows, taken, gaps=gaps), taken
 
 
@@ -231,8 +181,11 @@ def _is_missing(value: object, taken: Taken) -> bool:
     return False
 
 
-def _lines(data: bytes, taken: Taken) -> list[str | Broken]:
+def lines_of(data: bytes, taken: Taken) -> list[str | Broken]:
     """Return the lines of a file; the last one is empty if the file ends with a line break."""
+    for mark, kind in BINARY.items():
+        if data.startswith(mark):
+            return [Broken(f"this is {kind}; expected a text file, CSV or JSON Lines")]
     encoding = _foreign(data)
     if encoding is None:
         return [_decoded(line) for line in re.split(rb"\r\n|\r|\n", data.removeprefix(BOM_UTF8))]
@@ -287,9 +240,12 @@ def _owners(text: str) -> frozenset[Names]:
     return frozenset(zip(*pairs, strict=True)) if known else frozenset()
 
 
-def named_rows(rows: Sequence[Row], columns: Mapping[str, str], name: object, taken: Taken) -> list[Row]:
-    """Return records with the column names of a log, from the user's names in any case."""
-    keys = {key: plain(key).lower() for _, record in rows if isinstance(record, Mapping) for key in map(str, record)}
+def named_rows(
+    rows: Sequence[Row], columns: Mapping[str, str], name: object, taken: Taken, head: Iterable[str] = ()
+) -> list[Row]:
+    """Return records with the column names of a log, from the user's names in any case; `head` has names of a table."""
+    keys = {key: plain(key).lower() for key in head}
+    keys |= {key: plain(key).lower() for _, record in rows if isinstance(record, Mapping) for key in map(str, record)}
     _check(columns, list(keys.values()), name)
     source = {name: columns.get(name, name) for name in COLUMNS}
     renamed = {key: name for name, own in source.items() for key, plain_key in keys.items() if plain_key == own}
@@ -343,51 +299,36 @@ def _first_words(actions: Sequence[Any]) -> set[str]:
     return {(*words_of(text), "")[0] for text in texts}
 
 
-# Tables
-
-
-def _is_table(file: Path, texts: Sequence[str], columns: Mapping[str, str]) -> bool:
+def _is_table(file: Path, texts: Sequence[str], sought: Collection[str]) -> bool:
     """Return whether a file whose first line is no JSON is a table."""
     if file.suffix.lower() in (".csv", ".tsv", ".txt"):
         return True
     if any(line.lstrip().startswith("{") for line in texts) or not texts:
         return False
-    head = texts[1 if _declared(texts[0]) and len(texts) > 1 else 0]
-    return bool(_known(_cells(head, _separator(texts, columns)), columns)) or file.suffix.lower() not in (
-        ".jsonl",
-        ".json",
+    return file.suffix.lower() not in (".jsonl", ".json") or has_columns(texts, sought)
+
+
+def _from_table(lines: Sequence[str | Broken], columns: Mapping[str, str], file: Path, taken: Taken) -> list[Row]:
+    """Return the records of a table with the column names of a log; an empty cell is None."""
+    source = {name: columns.get(name, name) for name in COLUMNS}
+
+    def owners(cells: Mapping[str, str]) -> frozenset[Names]:
+        return _owner({name: plain(cells[source[name]]) for name in NAMES if cells.get(source[name])})
+
+    (number, head), rows = read_table(lines, source.values(), owners, taken)
+    rows = [
+        (line, record if isinstance(record, Broken) else {name: _cell(name, record[name], taken) for name in record})
+        for line, record in named_rows(rows, columns, file, taken, head)
+    ]
+    names = [plain(cell).lower() for cell in head]
+    missing = [name for name in NEEDED if source[name] not in names]
+    if not head or not missing or any(line == number for line, _ in rows):
+        return rows
+    message = (
+        f"no column is called {' or '.join(missing)}; expected {', '.join(COLUMNS[:5])}, or --columns "
+        f"{missing[0]}=NAME (in Python columns={{'{missing[0]}': NAME}}) with one of {', '.join(filter(None, names))}"
     )
-
-
-def _declared(line: str) -> str | None:
-    """Return the separator that a first line such as `sep=;` declares, as spreadsheets write it."""
-    found = re.fullmatch(r'"?sep=(.)"?', line.rstrip("\r\n "), re.IGNORECASE) if line.strip() else None
-    return found[1] if found else "\t" if line.rstrip(" ").lower() == "sep=\t" else None
-
-
-def _separator(texts: Sequence[str], columns: Mapping[str, str]) -> str:
-    """Return the separator of the columns in the first line."""
-    if not texts:
-        return ","
-    declared = _declared(texts[0])
-    if declared is not None:
-        return declared
-    head = next((text for text in texts if not RULE.fullmatch(text.strip())), "")
-    cells = {separator: _cells(head, separator) for separator in SEPARATORS}
-    known = {separator: len(_known(found, columns)) for separator, found in cells.items()}
-    # Blanks stand around other separators, too.
-    return max(cells, key=lambda separator: (known[separator], separator != " ", len(cells[separator])))
-
-
-def _known(cells: Sequence[str], columns: Mapping[str, str]) -> set[str]:
-    return {name for name in COLUMNS if columns.get(name, name) in cells}
-
-
-def _cells(head: str, separator: str) -> list[str]:
-    try:
-        return [plain(cell).lower() for cell in next(csv.reader([head], delimiter=separator, skipinitialspace=True))]
-    except csv.Error:
-        return []
+    return [row for row in rows if isinstance(row[1], Broken)] + [(number, Broken(message))]
 
 
 def _check(columns: Mapping[str, str], there: Sequence[str], file: object) -> None:
@@ -396,114 +337,6 @@ def _check(columns: Mapping[str, str], there: Sequence[str], file: object) -> No
             near = difflib.get_close_matches(own, there, n=1)
             meant = f"; did you mean '{near[0]}'?" if near else f"; it has {', '.join(filter(None, there))}"
             raise ValueError(f"columns {name}={own}: {file} has no column '{own}'{meant}")
-
-
-def _table(lines: Sequence[str | Broken], columns: Mapping[str, str], file: Path, taken: Taken) -> Iterator[Row]:
-    """Yield the records of a table whose first line has the column names; an empty cell is None."""
-    yield from ((number, line) for number, line in enumerate(lines, start=1) if isinstance(line, Broken))
-    texts = [line if isinstance(line, str) else "" for line in lines]
-    first = next((k for k, text in enumerate(texts) if text.strip()), 0)
-    separator = _separator([text for text in texts if text.strip()], columns)
-    if texts and _declared(texts[first]) is not None:
-        texts[first] = ""
-    rows, broken = _split(_without_rules(texts) if separator == "|" else _without_blanks(texts, separator), separator)
-    if rows:
-        yield from _matched(rows[0], rows[1:], columns, file, len(lines), taken)
-    yield from broken
-
-
-def _without_rules(texts: Sequence[str]) -> list[str]:
-    """Return lines of a table with bars without its rules, its frame and the count of its rows."""
-    lines = ["" if RULE.fullmatch(text.strip()) else text.strip() for text in texts]
-    framed = all(line[0] == line[-1] == "|" for line in lines if line)
-    return [line[1:-1] for line in lines] if framed else lines
-
-
-def _without_blanks(texts: Sequence[str], separator: str) -> list[str]:
-    """Return lines without blanks between a cell's closing quotation mark and a separator."""
-    if separator == " ":
-        return list(texts)
-    blanks, end = " *" if separator == "\t" else "[ \\t]*", re.escape(separator)
-    quoted = re.compile(rf'((?:^|{end}){blanks}"(?:[^"]|"")*"){blanks}(?={end}|$)', re.MULTILINE)
-    return quoted.sub(r"\1", "\n".join(texts)).split("\n")
-
-
-def _split(texts: Sequence[str], separator: str) -> tuple[list[tuple[int, list[str]]], list[Row]]:
-    """Return the cells of each row with its line, and the row at which the table ends early, if there is one."""
-    reader = csv.reader((f"{text}\n" for text in texts), delimiter=separator, strict=True, skipinitialspace=True)
-    rows: list[tuple[int, list[str]]] = []
-    while True:
-        number = reader.line_num + 1
-        try:
-            cells = next(reader, None)
-        except csv.Error as error:
-            return rows, [(number, Broken(f"not CSV ({error}); what comes after it is not read"))]
-        if cells is None:
-            return rows, []
-        if any(cell.strip() for cell in cells):
-            rows.append((number, [cell.strip() for cell in cells]))
-
-
-def _matched(
-    head: tuple[int, list[str]], rows: Sequence[tuple[int, list[str]]], columns: Mapping[str, str], file: Path,
-    last: int, taken: Taken,
-) -> Iterator[Row]:  # fmt: skip
-    """Return rows as records, by the names in the first of them."""
-    number, names = head[0], [plain(cell).lower() for cell in head[1]]
-    _check(columns, names, file)
-    for name in COLUMNS:
-        own = columns.get(name, name)
-        if names.count(own) > 1:
-            yield number, Broken(f"{names.count(own)} columns are called {own}; expected one")
-            return
-    missing = [name for name in NEEDED if columns.get(name, name) not in names]
-    if missing:
-        there = ", ".join(filter(None, names))
-        yield (
-            number,
-            Broken(
-                f"no column is called {' or '.join(missing)}; expected {', '.join(COLUMNS[:5])}, or --columns "
-                f"{missing[0]}=NAME (in Python columns={{'{missing[0]}': NAME}}) with one of {there}"
-            ),
-        )
-        return
-    if _have_an_index(len(names), rows):
-        names = ["", *names]
-        taken.said.append("the first column, which has no name, as numbers of rows")
-    repeated = [row for row in rows if [plain(cell).lower() for cell in row[1]] == names]
-    taken.heads += [number for number, _ in repeated]
-    rows = [row for row in rows if row not in repeated]
-    least = max(k for k, name in enumerate(names) if name) + 1  # spreadsheets add empty columns at the end
-    place = {name: names.index(columns.get(name, name)) for name in COLUMNS if columns.get(name, name) in names}
-    if "suggestion" not in place:
-        unread = {head[1][k - len(names)]: k for k, name in enumerate(names) if name and k not in place.values()}
-        others = {own: [cells[k] for _, cells in rows if k < len(cells)] for own, k in unread.items()}
-        done = place["action"]
-        taken.asked += _asked(others, [cells[done] for _, cells in rows if done < len(cells)])
-    for number, cells in rows:
-        while len(cells) > len(names) and not cells[-1]:
-            cells = cells[:-1]
-        if least <= len(cells) <= len(names):
-            yield number, {name: _cell(name, cells[k], taken) for name, k in place.items()}
-            continue
-        unhurt = dict(zip(names, cells[:-1], strict=False))  # the last cell may be cut off
-        owner = tuple(unhurt.get(columns.get(name, name), "") for name in NAMES)
-        owners = frozenset({(plain(owner[0]), plain(owner[1]))}) if all(owner) and len(cells) < least else frozenset()
-        ends = number == last
-        message = f"{len(cells)} cells; expected {len(names)}, as in the first line"
-        yield (
-            number,
-            Broken("the last line is cut off; the lines before it are used" if ends else message, owners, ends),
-        )
-
-
-def _have_an_index(width: int, rows: Sequence[tuple[int, list[str]]]) -> bool:
-    """Return whether rows begin with a number that has no column name, as R's `write.table` writes them."""
-    wide = [cells for _, cells in rows if len(cells) == width + 1]
-    if not any(cells[-1] for cells in wide):  # an empty column at the end, as spreadsheets add
-        return False
-    numbers = [cells[0] for cells in wide if re.fullmatch(r"\d+", cells[0])]
-    return len(numbers) > 1 and 2 * len(wide) > len(rows) and len(numbers) == len(wide) == len(set(numbers))
 
 
 def _cell(name: str, cell: str, taken: Taken) -> Any:

@@ -6,33 +6,10 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
-Names = tuple[str, str]
-"""A person and one of their episodes."""
-
-Row = tuple[int, Any]
-"""Number of a line, from 1, and its content: a record, a `Broken`, or another value that is no record."""
-
-
-@dataclass(frozen=True)
-class Broken:
-    """A line that is no record.
-
-    Attributes
-    ----------
-    message : str
-    owners : set of Names
-        People and episodes that the rest of the line names; empty if unknown.
-    ends : bool
-        Whether the file ends within this line.
-    """
-
-    message: str
-    owners: frozenset[Names] = frozenset()
-    ends: bool = False
+from .log_rows import Broken, Names, Row
 
 
 def read_json(

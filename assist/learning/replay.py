@@ -24,7 +24,7 @@ from ..people.choices import STAND_STILL, WAIT
 from ..people.decision import NOTHING
 from ..people.terms import NOTHING_YET, Situation, Vocabulary, goals_met
 from .log import Entry, Fault, Log, in_order
-from .log_json import Names
+from .log_rows import Names
 
 
 @dataclass(frozen=True, eq=False, repr=False)
