@@ -59,7 +59,8 @@ ROOMS = {
         advice_rules advice_model advice_fit replay observations evidence likelihood
         likelihood_table likelihood_arrays first_estimates person_estimate maximum_likelihood
         logit_likelihood hierarchy misconception_fit
-        diagnostics population fit goals rule_families neighbours_in_logs posterior_sample influence_population
+        diagnostics distribution population fit goals rule_families neighbours_in_logs posterior_sample
+        influence_population
         rule_search trust_fit held_out""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
     "assist.drawing.plots": """shown_figure style labels panels_by_name episode belief watched people policies

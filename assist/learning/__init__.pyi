@@ -7,6 +7,8 @@ from .comparison import Score as Score
 from .diagnostics import Calibration as Calibration
 from .diagnostics import calibrate as calibrate
 from .diagnostics import check as check
+from .distribution import PopulationFit as PopulationFit
+from .distribution import mixture as mixture
 from .evidence import Evidence as Evidence
 from .evidence import observed as observed
 from .evidence import replayed as replayed
@@ -36,9 +38,7 @@ from .person_estimate import Check as Check
 from .person_estimate import Estimate as Estimate
 from .person_estimate import MisconceptionFit as MisconceptionFit
 from .person_estimate import PersonEstimate as PersonEstimate
-from .population import PopulationFit as PopulationFit
 from .population import fit_population as fit_population
-from .population import mixture as mixture
 from .replay import Recording as Recording
 from .replay import replay as replay
 from .rule_families import RuleFamily as RuleFamily

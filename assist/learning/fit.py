@@ -26,6 +26,7 @@ from ..people.weighted_choice import Weighted
 from ..person.settings import Setting
 from ..person.state_cache import StateCache
 from .diagnostics import check
+from .distribution import Margin, PopulationFit
 from .evidence import Evidence, Reading, Records, Tasks, evidence
 from .hierarchy import Hierarchy, fit_terms
 from .likelihood import SMALL, Method, largest_beta
@@ -34,7 +35,7 @@ from .maximum_likelihood import maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
 from .observations import Chances, Ints, Observations
 from .person_estimate import UNCHECKED, PersonEstimate, nothing_known
-from .population import Margin, PopulationFit, fit_population, population_of
+from .population import fit_population, population_of
 
 Model: TypeAlias = Literal["misconceptions", "terms"] | Mapping[str, Term] | ChoiceModel
 """What people's choices depend on besides cost-to-go: see `fit`."""

@@ -81,14 +81,18 @@ class EpisodeGoals(Result):
         """Return the probability of each goal after an action, by default the last one."""
         return dict(zip(self.goals, self.posterior[action].tolist(), strict=True))
 
-    def records(self) -> list[dict[str, Any]]:
-        """Return a row for each action: the step, the action, the probability of each goal, and the mean of beta."""
+    def steps(self) -> list[dict[str, Any]]:
+        """Return the step, the action, the probability of each goal, and the mean of beta, for each action."""
+        rows = zip(self.step.tolist(), self.actions, self.beta.tolist(), strict=True)
         return [
-            {"step": step, "action": action, **self.named(t), "beta": beta}
-            for t, (step, action, beta) in enumerate(
-                zip(self.step.tolist(), self.actions, self.beta.tolist(), strict=True)
-            )
+            {"step": step, "action": action, "posterior": self.named(t), "beta": beta}
+            for t, (step, action, beta) in enumerate(rows)
         ]
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each action, as `steps` does, with a column for each goal."""
+        names = ("step", "action", *self.goals, "beta")
+        return [{name: (row | row["posterior"])[name] for name in names} for row in self.steps()]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,20 +140,11 @@ class InferredGoals(Result):
         """Return the results as plain data: a record for each episode."""
         return [
             {
-                "person": one.person,
-                "episode": one.episode,
-                "goal": one.goal,
-                "posterior": one.named(),
-                "beta": float(one.beta[-1]),
-                "steps": [
-                    {"step": step, "action": action, "posterior": one.named(t), "beta": beta}
-                    for t, (step, action, beta) in enumerate(
-                        zip(one.step.tolist(), one.actions, one.beta.tolist(), strict=True)
-                    )
-                ],
+                "person": one.person, "episode": one.episode, "goal": one.goal, "posterior": one.named(),
+                "beta": float(one.beta[-1]), "steps": one.steps(),
             }
             for one in self.episodes
-        ]
+        ]  # fmt: skip
 
 
 def infer_goals(

@@ -113,12 +113,10 @@ class Recording(Result):
         kept = ~unknown & (lost < np.maximum.accumulate(np.where(begins, rows, 0)))
         who, person = np.unique(self.person[kept], return_inverse=True)
         counts = np.bincount(self.person[~kept], minlength=len(self.people))
-        of_steps = (
-            "episode", "step", "state", "applicable", "targets", "costs", "chosen", "suggested", "actions", "last",
-            "previous",
-        )  # fmt: skip
-        steps = {name: getattr(self, name)[kept] for name in of_steps}
-        left = replace(self, people=tuple(self.people[k] for k in who), person=person, **steps)
+        steps: dict[str, Any] = {
+            name: array[kept] for name, array in vars(self).items() if isinstance(array, np.ndarray)
+        }
+        left = replace(self, **(steps | {"people": tuple(self.people[k] for k in who), "person": person}))
         return left, {self.people[k]: int(counts[k]) for k in np.flatnonzero(counts)}
 
 

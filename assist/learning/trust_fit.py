@@ -23,6 +23,7 @@ from planner.system.results import Result
 from ..people.decision import Floats
 from ..people.neighbours import Neighbours
 from ..people.trust_rules import TrustRule, plain_rule
+from .distribution import Margin, PopulationFit
 from .evidence import Evidence
 from .influence_population import InfluencePopulation
 from .intervals import Interval, equal_tailed
@@ -30,7 +31,6 @@ from .likelihood import Method
 from .likelihood_table import LikelihoodTable
 from .neighbours_in_logs import seen_by
 from .observations import Observations
-from .population import Margin, PopulationFit
 from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
 

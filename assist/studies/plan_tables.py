@@ -14,7 +14,7 @@ from planner.system.errors import expected as meant
 
 from ..declare.declared import shown
 from ..declare.tables import convert, fault
-from ..learning import population as populations
+from ..learning import distribution as populations
 from ..people.ranges import Population
 from ..people.real_people import advice_takers
 from ..people.terms import TERMS

@@ -40,7 +40,7 @@ def chosen_setting(kind: type[S], setting: Setting, given: Given[Any], *, rate: 
         given.refuse(RATES, f"with trust {given.values['trust']!r}")
     if not isinstance(file, str):
         return chosen
-    from ...learning import population as populations
+    from ...learning import distribution as populations
     from ...people.trust_rules import EquationSeven
 
     try:

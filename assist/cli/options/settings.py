@@ -91,7 +91,7 @@ def _population(given: Any) -> Any:
     """Return a population; a text is the name of a file that `fit --write-population` wrote."""
     if not isinstance(given, str):
         return given
-    from ...learning import population as populations
+    from ...learning import distribution as populations
 
     try:
         return populations.mixture(record_of(Path(given)))

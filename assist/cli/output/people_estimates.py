@@ -18,10 +18,10 @@ from planner.system.progress import stages
 from ..terminal.console import ExitCode, fail, print_json, print_table
 
 if TYPE_CHECKING:
+    from ...learning.distribution import PopulationFit
     from ...learning.evidence import Evidence
     from ...learning.fit import FittedPeople, Model
     from ...learning.likelihood import Method
-    from ...learning.population import PopulationFit
     from ...people.ranges import Range
 
 FEW_ACTIONS = 10_000

@@ -67,11 +67,9 @@ def test_what_the_actions_do_not_say_is_left_out() -> None:
 def test_the_command_prints_them_where_the_search_must_be_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = write_log(tmp_path / "log.jsonl", ROWS)
-    for at_hand, count in ((True, 0), (False, 3)):
-        monkeypatch.setattr(
-            import_module("assist.learning.maximum_likelihood"), "at_hand", lambda at_hand=at_hand: at_hand
-        )
+    file, search = write_log(tmp_path / "log.jsonl", ROWS[:8]), import_module("assist.learning.maximum_likelihood")
+    for at_hand, count in ((True, 0), (False, 1)):
+        monkeypatch.setattr(search, "at_hand", lambda at_hand=at_hand: at_hand)
         result = invoke("fit", "kitting/paper", file, "--json")
         assert result.exit_code == 0
         assert result.stderr.count("first, ") == count

@@ -22,13 +22,14 @@ from assist import Pool, fit, simulate
 from assist.cli import main
 from assist.learning import Log, misconception_fit
 from assist.learning.diagnostics import calibrate, check
+from assist.learning.distribution import mixture
 from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import log_likelihood
 from assist.learning.maximum_likelihood import maximum_likelihood
 from assist.learning.misconception_fit import MarginalLikelihood, Uncertain, fit_misconception
 from assist.learning.observations import Observations
 from assist.learning.person_estimate import PersonEstimate
-from assist.learning.population import fit_population, mixture
+from assist.learning.population import fit_population
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
@@ -53,7 +54,7 @@ def paper_choices(paper: Table) -> Choices:
 
 @pytest.fixture(scope="module")
 def team(paper: Table, paper_choices: Choices) -> list[Observations]:
-    rows = people_at_work(paper_choices, [0.3, 0.4, 0.8, 1.5, 4.0], np.random.default_rng(4), suggest=0.5)
+    rows = people_at_work(paper_choices, [0.3, 0.8, 1.5], np.random.default_rng(4), suggest=0.5)
     return observed(paper, rows)
 
 
@@ -104,7 +105,7 @@ def test_the_likelihood_is_that_of_the_model(paper_choices: Choices, team: list[
 
 def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations], fits: list[PersonEstimate]) -> None:
     beta, theta, eta = np.linspace(0, 5, 126), np.linspace(0, 1, 41), np.linspace(0, 1, 41)
-    for o, found in zip(team[1::2], fits[1::2], strict=True):
+    for o, found in zip(team[1:2], fits[1:2], strict=True):
         values = log_likelihood(o, beta, theta, eta)
         best = values.max()
         assert found.log_likelihood >= best - 1e-9
@@ -120,12 +121,11 @@ def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations], 
 
 
 @given(st.integers(0, 10_000), st.floats(0.1, 3.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_laws_of_estimates(seed: int, beta: float) -> None:
-    table = TINY
     rows = people_at_work(TINY_CHOICES, [beta], np.random.default_rng(seed), suggest=0.3, episodes=2)
-    (found,) = maximum_likelihood(observed(table, rows), Method(eta=0.2))
-    (wide,) = maximum_likelihood(observed(table, rows), Method(eta=0.2, level=0.99))
+    (found,) = maximum_likelihood(observed(TINY, rows), Method(eta=0.2))
+    (wide,) = maximum_likelihood(observed(TINY, rows), Method(eta=0.2, level=0.99))
     assert ("theta" in found.estimates) == any(row["suggestion"] is not None for row in rows)
     for name, estimate in found.estimates.items():
         wider = wide.estimates[name]
@@ -134,10 +134,9 @@ def test_laws_of_estimates(seed: int, beta: float) -> None:
         assert wider.interval[0] <= low + 2e-3
         assert wider.interval[1] >= high - 2e-3
     shuffled = [rows[i] for i in np.random.default_rng(seed).permutation(len(rows))]
-    (again,) = maximum_likelihood(observed(table, shuffled), Method(eta=0.2))
+    (again,) = maximum_likelihood(observed(TINY, shuffled), Method(eta=0.2))
     assert (again.estimates, again.log_likelihood) == (found.estimates, found.log_likelihood)
-    p = found.probabilities()
-    np.testing.assert_allclose(p.sum(axis=1), 1.0)
+    np.testing.assert_allclose(found.probabilities().sum(axis=1), 1.0)
 
 
 TINY = kit("tiny")
@@ -248,6 +247,8 @@ def test_misconceptions_are_told_from_carelessness(paper: Table, paper_choices: 
     rng = np.random.default_rng(2)
     noise = rng.standard_normal(len(paper))
     mistaken = observed(paper, people_at_work(paper_choices, [2.0], rng, episodes=12, noise=noise))
+    uncertain = Uncertain.of(mistaken[0])
+    assert uncertain.band < len(uncertain.states) / 2  # people pass from state to state
     careless = observed(paper, people_at_work(paper_choices, [0.7], rng, episodes=12))
     first, second = (maximum_likelihood(o)[0] for o in (mistaken, careless))
     assert first.estimates["beta"].value < 1.2  # the plain model takes misconceptions for a lack of expertise
@@ -276,14 +277,13 @@ def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -
     model = MarginalLikelihood(found)
     beta, sigma = 0.8, 0.5
     value, z = model.marginal(beta, sigma)
-    rng = np.random.default_rng(0)
-    draws = beta * sigma * rng.standard_normal((200_000, len(z)))
-    chance = np.mean([np.exp(model._terms(beta, np.append(row, 0.0))[0]) for row in draws[:20_000]])
+    draws = beta * sigma * np.random.default_rng(0).standard_normal((5_000, len(z)))
+    chance = np.mean([np.exp(model._terms(beta, np.append(row, 0.0))[0]) for row in draws])
     assert value == pytest.approx(np.log(chance), abs=0.03)
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 def test_the_marginal_likelihood_is_laplaces_with_the_whole_matrix(seed: int) -> None:
     """The mode is where the gradient is 0, and the determinant that of the matrix of second derivatives."""
     rng = np.random.default_rng(seed)
@@ -305,12 +305,6 @@ def test_the_marginal_likelihood_is_laplaces_with_the_whole_matrix(seed: int) ->
         assert log_posterior(z + rng.normal(0, 0.05, m)) <= log_posterior(z) + 1e-7
 
 
-def test_a_band_is_narrow_where_people_pass_from_state_to_state(paper: Table, paper_choices: Choices) -> None:
-    (o,) = observed(paper, people_at_work(paper_choices, [0.4], np.random.default_rng(1), episodes=12))
-    uncertain = Uncertain.of(o)
-    assert uncertain.band < len(uncertain.states) / 2
-
-
 def test_misconceptions_that_take_too_much_memory_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The memory is checked before it is allocated, and the error is one line."""
     monkeypatch.setattr(Uncertain, "megabytes", 1e9)
@@ -326,6 +320,12 @@ def test_calibration_counts_every_choice(team: list[Observations], fits: list[Pe
     assert c.count.sum() == sum(o.applicable.sum() for o in team)
     assert (c.observed * c.count).sum() == pytest.approx(sum(map(len, team)))
     assert ((c.low <= c.observed + 1e-12) & (c.observed <= c.high + 1e-12)).all()
+    # By hand, of five bins: those of the predicted probability.
+    p = np.concatenate([f.probabilities()[f.observations.applicable] for f in fits])
+    of_bins = [p[(p >= k / 5) & (p < (k + 1) / 5 + (k == 4))] for k in range(5)]
+    few = calibrate(fits, bins=5)
+    assert few.count.tolist() == [len(part) for part in of_bins if len(part)]
+    assert few.predicted == pytest.approx([part.mean() for part in of_bins if len(part)])
 
 
 def test_people_for_whom_the_model_holds_are_predicted(paper: Table, paper_choices: Choices) -> None:
@@ -480,29 +480,29 @@ def test_fitted_people_are_at_work_in_a_simulation(tiny: Table) -> None:
     assert simulate(pool, "attention", humans=["ben", "ann"], episodes=2, seed=0)[0].people == ("ben", "ann")
 
 
-def test_fitted_people_are_simulated_with_their_rate_of_trust(paper: Table) -> None:
+def test_fitted_people_are_simulated_with_their_rate_of_trust(tiny: Table) -> None:
     """Unless the setting has a rule or a rate of its own."""
     trace: list[Any] = []
-    pool = Pool.sample(paper, 4, seed=5, setting=Setting(eta=0.0, c_suggest=0.1))
-    simulate(pool, "reactive", humans=4, episodes=5, seed=0, trace=trace)
-    found = fit(paper, trace, method=Method(eta=0.05, utility_scale=2.0))
-    setting = Pool.of(paper, found, setting=Setting(c_suggest=0.3)).setting
+    pool = Pool.sample(tiny, 2, seed=5, setting=Setting(eta=0.0, c_suggest=0.1))
+    simulate(pool, "reactive", humans=2, episodes=5, seed=0, trace=trace)
+    found = fit(tiny, trace, method=Method(eta=0.05, utility_scale=2.0))
+    setting = Pool.of(tiny, found, setting=Setting(c_suggest=0.3)).setting
     assert (setting.c_suggest, setting.eta, setting.utility_scale) == (0.3, 0.05, 2.0)
     for own in (Setting(eta=0.4), Setting(trust="constant")):
-        assert Pool.of(paper, found, setting=own).setting == own
+        assert Pool.of(tiny, found, setting=own).setting == own
 
 
 def test_what_a_log_may_be_asked_is_checked(tiny: Table) -> None:
     """Nothing is ignored: no misspelt option, and no column that seems to have the suggestions."""
     row = {"person": "ann", "episode": "1", "step": 0, "action": "fetch box-a"}
-    with pytest.raises(TypeError, match=re.escape("level: expected method=Method(level=...)")):
-        fit(tiny, [row], level=0.9)  # type: ignore[call-arg]
-    with pytest.raises(TypeError, match="gap: a log has no such option; did you mean 'gaps'"):
-        fit(tiny, [row], gap=True)  # type: ignore[call-arg]
-    with pytest.raises(TypeError, match="a dict where a Method was expected"):
-        fit(tiny, [row], method={"level": 0.9})  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=re.escape("did you mean person=participant?")):
-        fit(tiny, [row], columns={"participant": "person"})
+    for options, words in (
+        ({"level": 0.9}, "level: expected method=Method(level=...)"),
+        ({"gap": True}, "gap: a log has no such option; did you mean 'gaps'"),
+        ({"method": {"level": 0.9}}, "a dict where a Method was expected"),
+        ({"columns": {"participant": "person"}}, "did you mean person=participant?"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=re.escape(words)):
+            fit(tiny, [row], **options)  # type: ignore[arg-type]
     with pytest.warns(UserWarning, match=re.escape("'hint' is not read; --columns suggestion=hint (in Python")):
         fit(tiny, [{**row, "hint": "fetch box-b"}])
     needed = "no episode can be used; line 1: .*expected a whole number, or --set gaps=true .in Python gaps=True."

@@ -336,7 +336,7 @@ WHOLE = "".join(f"{line}\n" for line in text_of([*lines(FETCH, RIGHT, told={1: W
 
 
 @given(st.sampled_from([WHOLE, CSV]), st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_whatever_a_file_has_is_read_or_a_fault(
     tmp_path_factory: pytest.TempPathFactory, tiny: Table, text: str, data: st.DataObject
 ) -> None:

@@ -169,7 +169,7 @@ def test_brackets_that_do_not_match_are_said_once() -> None:
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_tables_of_any_dialect_are_read_back(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     names = st.text(st.characters(blacklist_categories=("Cc", "Cs", "Z")), min_size=1, max_size=5).filter(
         lambda name: plain(name) == name and name not in MISSING | DASHES and not name.startswith(("#", "{", "["))

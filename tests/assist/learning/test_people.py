@@ -76,8 +76,9 @@ def test_what_cannot_be_used_is_not_passed_over(tiny: Table) -> None:
 
 def test_misconceptions_of_several_people(tiny: Table, rows: list[dict]) -> None:
     told: list[tuple[str, int, int | None]] = []
-    people: FittedPeople = fit(tiny, Log.of(rows), model="misconceptions", progress=lambda *what: told.append(what))
-    assert told == [("evaluating states", 0, None), *(("fitting people", done, 3) for done in range(4))]
+    few = Log.of([row for row in rows if row["person"] != "p2"])
+    people: FittedPeople = fit(tiny, few, model="misconceptions", progress=lambda *what: told.append(what))
+    assert told == [("evaluating states", 0, None), *(("fitting people", done, 2) for done in range(3))]
     found = [record.misconception for record in people.values()]
     low, high = people.sigma
     assert all(m is not None and m.sigma >= 0 for m in found)

@@ -34,7 +34,7 @@ def ten_actions(instance: str, people: int, suggest: float, seed: int) -> list[O
     [("tiny", 1.0, 0, None), ("tiny", 0.5, 5, None), ("paper", 0.5, 0, None), ("paper", 1.0, 3, 0.2)],
 )
 def test_nothing_on_a_grid_is_likelier_or_left_out(instance: str, suggest: float, seed: int, eta: float | None) -> None:
-    team, method = ten_actions(instance, 6, suggest, seed), Method(eta=eta)
+    team, method = ten_actions(instance, 3, suggest, seed), Method(eta=eta)
     largest = largest_beta(team, method)
     beta = 1e-3 * largest * np.expm1(np.linspace(0, np.log1p(1e3), 49))
     shares = np.unique([*np.linspace(0, 1, 51), 0.002, 0.998, *np.linspace(0, 1, 31), *np.linspace(0, 1, 17)])

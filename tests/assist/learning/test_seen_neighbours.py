@@ -70,7 +70,7 @@ def test_theta_at_each_suggestion_is_that_of_the_simulation(tiny: Table, rule: A
 
 
 def test_the_rate_is_found_again(tiny: Table) -> None:
-    _, _, found = logged(tiny, SeenOutcome(0.3), "constant", people=8, episodes=20)
+    _, _, found = logged(tiny, SeenOutcome(0.3), "constant", people=6, episodes=10)
     rules = seen_families(constant())
     none, fit = (fit_influence(found, rules[name], carry=False) for name in ("none", "outcome"))
     assert fit.parameters["eta_seen"] == pytest.approx(0.3, abs=0.15)
