@@ -395,7 +395,8 @@ def test_people_count_outcomes(world: str) -> None:
     setting = Setting(c_suggest=0.0, c_move=0.0, trust=Reliability(2.0, 0.1, 2, "true"))
     trace: list[dict] = []
     pool = Pool.sample(kit("tiny"), 1, seed=0, setting=setting)
-    simulate(pool, "reactive", humans=[0], episodes=400, seed=0, trace=trace, world=world)  # type: ignore[arg-type]
+    episodes = 400 if world == "model" else 50
+    simulate(pool, "reactive", humans=[0], episodes=episodes, seed=0, trace=trace, world=world)  # type: ignore[arg-type]
     by: dict[str, list[dict]] = {}
     for row in trace:
         by.setdefault(row["episode"], []).append(row)

@@ -118,8 +118,15 @@ def test_the_next_step_is_the_same_by_either_policy(tiny: Table) -> None:
     assert rows.tolist() == part.rows(states).tolist() != states.tolist()
 
 
-@pytest.mark.parametrize("knowledge", ["own", "exact"])
-@pytest.mark.parametrize("suggestions", ["optimal", "all"])
+@pytest.mark.parametrize(
+    ("suggestions", "knowledge"),
+    [
+        ("optimal", "own"),
+        ("all", "exact"),
+        pytest.param("optimal", "exact", marks=pytest.mark.slow),
+        pytest.param("all", "own", marks=pytest.mark.slow),
+    ],
+)
 def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge: Any, monkeypatch: Any) -> None:
     setting = Setting(
         execute=True, c_suggest=0.3, c_execute=0.5, c_move=0.1, suggestions=suggestions, knowledge=knowledge

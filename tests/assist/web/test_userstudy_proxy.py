@@ -23,7 +23,7 @@ from assist.web.app import make_app
 from assist.web.request_limits import Allowance, networks
 from assist.web.server import address, listen
 from assist.web.tokens import VISITOR, AccessTokens
-from assist.web.user_study.rehearsal import rehearse
+from assist.web.user_study.rehearsal import Rehearsal
 from assist.web.user_study.routes import router
 from assist.web.user_study.service import StudyService
 from planner import Table
@@ -54,7 +54,7 @@ def test_a_study_completes_behind_a_proxy_that_fails_twice(
         service, allowance=Allowance(rate=1e6, burst=1e6), more=[router], trusted_proxies=networks(["127.0.0.1"])
     )
     with running(app, listening), proxy(tmp_path, port, behind), ThreadPoolExecutor(1) as threads:
-        rehearsal = threads.submit(rehearse, service, tasks, participants, base)
+        rehearsal = threads.submit(Rehearsal(participants).run, service, tasks, base)
         for events in (4, 12):
             while session.outlook().events < events and not rehearsal.done():
                 time.sleep(0.01)
