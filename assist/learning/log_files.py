@@ -111,7 +111,8 @@ def tidy(rows: Iterable[Row], taken: Taken, *, gaps: bool = False) -> list[Row]:
     """Return records with None for missing values, plain names, and integers for steps in any notation.
 
     Records that have neither an action nor a step, or name no episode, are left out, since they are no part of one:
-    programs for experiments write a row for instructions, too.
+    programs for experiments write a row for instructions, too. A record that has no field `action` at all is broken:
+    where nothing was done, it is null.
     """
     rows = [(number, dict(record) if isinstance(record, Mapping) else record) for number, record in rows]
     for number, record in rows:
@@ -120,10 +121,13 @@ def tidy(rows: Iterable[Row], taken: Taken, *, gaps: bool = False) -> list[Row]:
     acting = any(record.get("action") is not None for _, record in rows if isinstance(record, dict))
     kept: list[Row] = []
     for number, record in rows:
-        if acting and isinstance(record, dict) and record.setdefault("action", None) is None:
+        if acting and isinstance(record, dict) and record.get("action") is None:
             nothing = all(record.get(key) is None for key in ACTIONS)
             if nothing and any(record.get(key) is None for key in NEEDED[:3]):
                 taken.outside.append(number)
+                continue
+            if "action" not in record:
+                kept.append((number, Broken("no action; expected null if nothing was done", _owner(record))))
                 continue
             taken.idle += [number] * (record.get("executed") is None)
         kept.append((number, record))

@@ -245,18 +245,25 @@ def test_a_log_that_does_not_count_from_0_is_told_so(tmp_path: Path, tiny: Table
     assert read_log(file, gaps=True).note == ""
 
 
-@pytest.mark.parametrize("text", [None, "", "-", "NA", "keyless"])
+@pytest.mark.parametrize("text", [None, "", "-", "NA"])
 def test_a_step_at_which_nothing_was_done(tmp_path: Path, tiny: Table, text: str | None) -> None:
     """It is no choice, and no missing line."""
     rows = [dict(row, step=2 * row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
     pauses = [dict(row, step=row["step"] + 1, action=text, suggestion=text or None) for row in rows]
-    if text == "keyless":
-        pauses = [{key: row[key] for key in ("person", "episode", "step")} for row in pauses]
     file = write_log(tmp_path / "log.jsonl", [*rows, *pauses])
     assert used(file, tiny) == {"ann": len(PLAN), "bob": len(PLAN)}
     log = read_log(file)
     assert (log.faults, replay(log, tiny)[1]) == ((), [])
     assert "line 13 and 11 more, without an action, as nothing done" in log.note
+
+
+def test_a_line_that_lost_its_action_is_not_read_as_nothing_done(tmp_path: Path, tiny: Table) -> None:
+    rows = [*lines(*PLAN), *lines(*PLAN, person="bob")]
+    del rows[-1]["action"]
+    file = write_log(tmp_path / "log.jsonl", rows)
+    assert used(file, tiny) == {"ann": len(PLAN)}
+    (fault,) = read_log(file).faults
+    assert (fault.line, fault.message) == (len(rows), "no action; expected null if nothing was done")
 
 
 def test_a_live_log_with_missed_actions_is_read(tiny: Table) -> None:
