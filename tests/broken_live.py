@@ -42,7 +42,7 @@ def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) ->
             task, state = session.place(name)
             if seen["finished"] or not seen["applicable"]:
                 continue
-            pictures.of(task, state, seen["applicable"], 400)
+            pictures.of(task, state, seen, 400)
             action = seen["applicable"][0]
             if name in simulated:
                 action = simulated[name].act(task, state, seen["applicable"], seen["suggestion"])

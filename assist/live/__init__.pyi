@@ -24,7 +24,6 @@ from .explanation import WhyNothing as WhyNothing
 from .explanation import WhyPerson as WhyPerson
 from .explanation import WhyQuestion as WhyQuestion
 from .explanation import WhyStep as WhyStep
-from .history import Outlook as Outlook
 from .people_store import PeopleStore as PeopleStore
 from .record import TeamRecord as TeamRecord
 from .reports import Reports as Reports
@@ -32,3 +31,4 @@ from .session import Session as Session
 from .store import JournalError as JournalError
 from .store import Tombstone as Tombstone
 from .trace_reasons import TraceReasons as TraceReasons
+from .views import Outlook as Outlook

@@ -32,7 +32,7 @@ def kinds(base: type[Event]) -> dict[str, type[Any]]:
     """Return the classes of events below a base, by kind."""
     found = {}
     for one in base.__subclasses__():
-        if (kind := one.model_fields["kind"].default) is not None and isinstance(kind, str):
+        if isinstance(kind := one.__pydantic_fields__["kind"].default, str):
             found[kind] = one
         found |= kinds(one)
     return found

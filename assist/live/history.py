@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from planner import CostToGo
@@ -16,6 +15,7 @@ from .event_base import Event
 from .explanation import Explanation
 from .record import Record
 from .roster import Saw
+from .views import Outlook, RobotView
 
 R = TypeVar("R", bound=Record)
 
@@ -86,6 +86,10 @@ class History(ABC, Generic[R]):
     def touched(self, record: R) -> set[str]:
         """Return the people whose view the last event has changed."""
 
+    @abstractmethod
+    def followed(self, record: R) -> bool | None:
+        """Return whether the last event, which this is, followed a suggestion; None if it answers none."""
+
     @property
     def paused(self) -> bool:
         """Whether the robots make no suggestions."""
@@ -130,8 +134,8 @@ class History(ABC, Generic[R]):
         return ()
 
     @abstractmethod
-    def robot(self, number: int = 1) -> dict[str, Any]:
-        """Return where a robot should be, and its suggestion there, as JSON; robots are numbered from 1."""
+    def robot(self, number: int = 1) -> RobotView:
+        """Return where a robot should be, and its suggestion there; robots are numbered from 1."""
 
     @abstractmethod
     def beliefs(self) -> dict[str, bytes]:
@@ -157,29 +161,4 @@ class History(ABC, Generic[R]):
     def outlook(self) -> Outlook:
         """Return the team's part of the operator's view."""
         robots = tuple(self.robot(number) for number in range(1, 1 + len(self.advices)))
-        return Outlook(self.count, self.paused, list(self.recent), self.fault, robots)
-
-
-@dataclass(frozen=True)
-class Outlook:
-    """The team's part of the operator's view; `History.entry` has that of each person.
-
-    Attributes
-    ----------
-    events : int
-        Number of events.
-    paused : bool
-        Whether the robot makes no suggestions.
-    recent : list of dict
-        The latest events, the oldest first.
-    fault : str or None
-        Error of the policy after the last event, if there was one; the robot then does nothing.
-    robots : tuple of dict
-        Where each robot is to be, and its suggestion there.
-    """
-
-    events: int
-    paused: bool
-    recent: list[dict[str, Any]]
-    fault: str | None
-    robots: tuple[dict[str, Any], ...]
+        return Outlook(seq=self.count, paused=self.paused, fault=self.fault, robots=robots, log=tuple(self.recent))

@@ -38,13 +38,14 @@ from .advice import Advice
 from .event_base import Event
 from .events import Joined, Vacant
 from .header import OTHER_VERSION, header_of, require_same
-from .history import History, Outlook
+from .history import History
 from .names import LONGEST_REASON, name_of
 from .people_store import PeopleStore, model_of
 from .record import Record, TeamRecord
 from .reports import Reports
 from .store import EventStore, JournalError, Tombstone, utc
 from .team import Team
+from .views import Outlook
 
 T = TypeVar("T")
 
@@ -73,7 +74,8 @@ class Session(Reports):
     Attributes
     ----------
     changed : callable or None
-        Called with the people whose view has changed, after the events are on the disk, while the session is locked.
+        Called with the people whose view has changed, and whether each suggestion that was answered was followed. The
+        events are on the disk then, and the session is locked.
 
     Raises
     ------
@@ -104,7 +106,7 @@ class Session(Reports):
             "policy": policy, "setting": setting, "population": population, "distance": distance,
         }  # fmt: skip
         self._clock, self._people, self._learned = clock, people, set[str]()
-        self.changed: Callable[[set[str]], None] | None = None
+        self.changed: Callable[[set[str], Sequence[bool]], None] | None = None
         self.lock = threading.RLock()
         former = Path(journal).with_suffix(".jsonl")
         if former.exists() and not Path(journal).exists():
@@ -239,13 +241,14 @@ class Session(Reports):
 
     def _attempt(self, events: Sequence[Event], failed: dict[int, Exception]) -> list[Outcome] | None:
         """Apply and save all events but those that failed before; return None if another one fails."""
-        history, outcomes, touched, number = self.history, list[Outcome](), set[str](), -1
+        history, outcomes, number = self.history, list[Outcome](), -1
+        touched, followed = set[str](), list[bool]()
         try:
             self._store.check()
             self._unsaved = True
             with self._store.transaction():
                 for number, event in enumerate(events):
-                    outcomes.append(failed.get(number) or self._outcome(history, event, touched))
+                    outcomes.append(failed.get(number) or self._outcome(history, event, touched, followed))
                 number = -1
         except Exception as error:
             known = isinstance(error, JournalError)
@@ -262,11 +265,11 @@ class Session(Reports):
             ]
         self._unsaved = False
         if touched and self.changed is not None:
-            self.changed(touched)
+            self.changed(touched, followed)
         self._keep()
         return outcomes
 
-    def _outcome(self, history: History[Any], event: Event, touched: set[str]) -> Outcome:
+    def _outcome(self, history: History[Any], event: Event, touched: set[str], followed: list[bool]) -> Outcome:
         """Apply an event within the transaction, and return its outcome."""
         try:
             known = self._known(event)
@@ -278,11 +281,14 @@ class Session(Reports):
         if known is not None:
             return known
         of_robot = event.shows == "robot" or event.who is None
-        answer = history.robot(getattr(event, "robot", 1)) if of_robot else history.person(event.who or "")
+        number = getattr(event, "robot", 1)
+        answer = history.robot(number).as_dict() if of_robot else history.person(event.who or "")
         if record is None:
             return answer
         self._store.add(record, answer, at=utc())
         touched |= history.touched(record)
+        if (said := history.followed(record)) is not None:
+            followed.append(said)
         if event.ends_task or answer.get("finished"):
             self._learned.add(event.who or "")
         return answer
@@ -357,7 +363,7 @@ class Session(Reports):
                 raise RuntimeError("the others' beliefs would change; nothing was erased")
         self._unsaved = False
         if self.changed is not None:
-            self.changed({person})
+            self.changed({person}, ())
         return stone
 
     def tombstones(self) -> list[Tombstone]:

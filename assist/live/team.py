@@ -135,6 +135,12 @@ class Team(History[TeamRecord]):
         there = set(self.people)
         return record.touched() | (there if record.event.concerns_all else there & self.desk.roster.touched)
 
+    def followed(self, record: TeamRecord) -> bool | None:
+        """Return whether the last event, which this is, followed a suggestion; None if it answers none."""
+        event = record.event
+        last = self.desk.entry(event.who).steps[-1] if event.who is not None and event.is_action else None
+        return None if last is None or last.offer is None or last.seen else last.action == last.suggestion
+
     @property
     def paused(self) -> bool:
         """Whether the robots make no suggestions."""
@@ -254,8 +260,8 @@ class Team(History[TeamRecord]):
         """The number of robots."""
         return len(self._nothing)
 
-    def robot(self, number: int = 1) -> dict[str, Any]:
-        """Return where a robot should be and what it suggests there, as JSON; robots are numbered from 1.
+    def robot(self, number: int = 1) -> RobotView:
+        """Return where a robot should be and what it suggests there; robots are numbered from 1.
 
         A suggestion remains until it is answered or replaced by another one. Of several robots with the person, the one
         that was sent makes it, or else the first.
@@ -270,7 +276,7 @@ class Team(History[TeamRecord]):
             if offer is not None:
                 errand = {"person": here, "suggestion": offer.action, "reason": offer.reason}
         asked = (one for one in self.desk.questions if self.desk.is_present(one.person)) if number == 1 else ()
-        return RobotView(**errand, location=here, seq=self.count, questions=tuple(asked)).as_dict()
+        return RobotView(**errand, location=here, seq=self.count, questions=tuple(asked))
 
     def _attends(self, person: str) -> int:
         """Return the index of the robot that attends to a person with whom one or more robots are."""

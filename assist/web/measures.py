@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
 
@@ -41,10 +39,7 @@ class Measures:
         self._reports.labels(kind, outcome).inc()
         self._seconds.observe(seconds)
 
-    def acted(self, before: bytes | None, action: str | None, after: Mapping[str, Any]) -> None:
-        """Count an action that may answer a suggestion, given the person's views before and after it."""
-        if before is None:
-            return
-        view = json.loads(before)
-        if view["suggestion"] is not None and after["seq"] > view["seq"]:  # otherwise it is a repetition
-            self._followed.labels("yes" if view["suggestion"] == (action or "").strip().lower() else "no").inc()
+    def answered(self, followed: Iterable[bool]) -> None:
+        """Count answers to suggestions, each by whether it was followed."""
+        for one in followed:
+            self._followed.labels("yes" if one else "no").inc()

@@ -44,7 +44,7 @@ class Present:
     def collect(self) -> Iterator[Any]:
         """Yield the metrics."""
         service, outlook = self._service, self._service.outlook
-        yield CounterMetricFamily("kitassist_events", "Events since the session began.", value=outlook.events)
+        yield CounterMetricFamily("kitassist_events", "Events since the session began.", value=outlook.seq)
         fault, ready = outlook.fault is not None, not service.unready()
         for name, said, value in (
             ("people", "People in the team.", len(service.views)),

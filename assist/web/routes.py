@@ -33,9 +33,10 @@ def plain(body: bytes | dict[str, Any], media_type: str = "application/json") ->
 async def health(service: Desk, ready: bool = False) -> Any:
     """Return the state of the service; needs no token. With `ready=true` the status is 503 if it is not ready."""
     reasons = service.unready()
-    state = {"status": "ok", "ready": not reasons, "reasons": reasons}
-    state |= {"people": len(service.views), "events": service.outlook.events}
-    return JSONResponse(state, 503 if ready and reasons else 200)
+    state = Health(
+        ready=not reasons, reasons=tuple(reasons), people=len(service.views), events=service.outlook.seq
+    )  # fmt: skip
+    return JSONResponse(state.as_dict(), 503 if ready and reasons else 200)
 
 
 @router.get("/api/me", tags=["service"], response_model=Me, responses=refusals(), dependencies=[Depends(bearer)])
@@ -72,7 +73,7 @@ async def drawing(
     def drawn() -> dict[str, Any]:
         seen = json.loads(service.views[person])  # read before the state: `seq` is then never newer than the drawing
         task, state = service.session.place(person)
-        return {**pictures.of(task, state, seen["applicable"], width), "seq": seen["seq"]}
+        return pictures.of(task, state, seen, width).as_dict()
 
     return plain(await asyncio.to_thread(drawn))
 
@@ -114,7 +115,7 @@ async def instruction(_: Operator, robot: int, service: Desk) -> Response:
     robots = service.outlook.robots
     if not 1 <= robot <= len(robots):
         raise AbsentError("other", why=f"robot {robot}: expected a number from 1 to {len(robots)}")
-    return plain(robots[robot - 1])
+    return plain(robots[robot - 1].as_dict())
 
 
 @router.get("/api/team", tags=["team"], response_model=Team, responses=refusals(403))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import BaseModel, Field, SkipValidation
+from pydantic import BaseModel, Field
 
-from ..declare.declared import AnyText, Truth, declared
+from ..declare.declared import AnyNumber, AnyText, Seldom, Truth, View, Whole, declared
 from ..live.contrast import Contrast
 from ..live.explanation import WhyNothing, WhyPerson, WhyStep
-from ..live.views import MemberView, PersonView, RobotView
+from ..live.views import MemberView, Outlook, PersonView
 
 
 class Problem(BaseModel):
@@ -18,14 +18,18 @@ class Problem(BaseModel):
     detail: str
 
 
-class Health(BaseModel):
+@declared(kw_only=True)
+class Health(View):
     """The state of the service."""
 
-    status: str
-    ready: bool
-    reasons: list[str] = Field(description="Why the service is not ready: what is not connected, or cannot be saved.")
-    people: int
-    events: int
+    status: AnyText = "ok"
+    ready: Truth
+    reasons: Annotated[
+        tuple[AnyText, ...],
+        Field(description="Why the service is not ready: what is not connected, or cannot be saved."),
+    ]
+    people: Whole
+    events: Whole
 
 
 class Reloaded(BaseModel):
@@ -42,22 +46,24 @@ class Me(BaseModel):
     operator: bool
 
 
-class Wanted(BaseModel):
+@declared
+class Wanted(View):
     """One condition of the goal, in words."""
 
-    text: str
-    done: bool
+    text: AnyText
+    done: Truth
 
 
-class Drawn(BaseModel):
+@declared(kw_only=True)
+class Drawn(View):
     """The present state of a person's task: a drawing, a description, the goal, and the applicable actions in words."""
 
-    svg: str
-    text: str
-    goal: list[Wanted]
-    words: dict[str, str]
-    language: str = Field(description="The tag of the language of these texts.")
-    seq: int
+    svg: AnyText
+    text: AnyText
+    goal: tuple[Wanted, ...]
+    words: dict[str, AnyText]
+    language: Annotated[AnyText, Field(description="The tag of the language of these texts.")]
+    seq: Whole
 
 
 class Explained(BaseModel):
@@ -89,29 +95,49 @@ class Member(MemberView):
     join: AnyText
 
 
+@declared
+class Waiting(View):
+    """How many participants wait for a group, and how many a group has."""
+
+    here: Whole
+    of: Whole
+
+
+@declared(kw_only=True)
+class Progress(View):
+    """A participant's progress: the present task or questionnaire (`what`), with its questions in their order."""
+
+    kind: AnyText
+    stage: AnyText
+    what: AnyText
+    number: Whole
+    of: Whole
+    over: Annotated[Truth, Field(description="Whether the task is over.")]
+    completion: AnyText | None
+    items: tuple[AnyText, ...]
+    waiting: Annotated[Waiting | None, Seldom(), Field(description="While the participant waits for a group.")] = None
+
+
 @declared(kw_only=True)
 class Attending(PersonView):
     """A participant of a user study as the operator sees them: their progress, without beliefs."""
 
     status: AnyText
     condition: AnyText | None = None
-    study: Annotated[dict[str, Any], SkipValidation()]
+    study: Progress
     connected: Truth
     simulated: Truth
     join: AnyText
 
 
-class Team(BaseModel):
-    """The operator's view of the team. `fault` is the policy's error message if the policy failed."""
+@declared(kw_only=True)
+class Team(Outlook):
+    """The operator's view of the team."""
 
-    seq: int
-    time: float
-    paused: bool
-    fault: str | None
-    problems: list[str] = Field(
-        default_factory=list, description="What keeps events from being saved or delivered, as in `/api/health`."
-    )
-    tasks: list[str]
-    robots: list[RobotView]
-    log: list[dict[str, Any]]
-    people: list[Member | Attending]
+    time: AnyNumber
+    problems: Annotated[
+        tuple[AnyText, ...],
+        Field(description="What keeps events from being saved or delivered, as in `/api/health`."),
+    ] = ()
+    tasks: tuple[AnyText, ...]
+    people: tuple[Member | Attending, ...]

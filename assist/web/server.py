@@ -240,7 +240,7 @@ class ServedTeam:
             self.tasks, self.folder / JOURNAL, policy=self.policy, setting=self.setting,
             population=self.population, distance=self.distance, people=people,
         )  # fmt: skip
-        if not session.outlook().events:
+        if not session.outlook().seq:
             for outcome in session.report_all([Joined(person=name, task=task) for name, task in self.people.items()]):
                 if isinstance(outcome, Exception):
                     session.close()

@@ -26,10 +26,9 @@ from ..declare.catalogue import Catalogue, catalogue
 from ..declare.refusals import AbsentError, InapplicableError, Refusal
 from ..live.event_base import Event, TeamEvent
 from ..live.explanation import Explanation
-from ..live.history import Outlook
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
-from ..live.views import PersonView, RobotView
+from ..live.views import Outlook, PersonView, RobotView
 from .measures import Measures
 from .schemas import Place
 from .tokens import AccessTokens
@@ -132,8 +131,7 @@ class Service:
         self._most_connections = connections
         self.session, self.access = session, access
         session.changed = self._seen
-        self._suggested: dict[str, tuple[Any, int]] = {}  # a suggestion, and the `seq` of the first view with it
-        self.views = {person: self._view(person) for person in self.session.people}
+        self.views = {person: _json(self.session.person(person)) for person in self.session.people}
         for person in self.views:
             access.token(person)
         self.outlook = self.session.outlook()
@@ -210,22 +208,14 @@ class Service:
         seen = dict(self._changes), self.session.outlook()
         self._loop.call_soon_threadsafe(self._deliver, futures, outcomes, *seen)
 
-    def _seen(self, touched: set[str]) -> None:
+    def _seen(self, touched: set[str], followed: Sequence[bool]) -> None:
         """Update the views of people for whom something changed. The writer calls it after saving the events."""
+        self.measures.answered(followed)
         for person in touched:
             try:
-                self._changes[person] = self._view(person)
+                self._changes[person] = _json(self.session.person(person))
             except AbsentError:
                 self._changes[person] = None
-                self._suggested.pop(person, None)
-
-    def _view(self, person: str) -> bytes:
-        """Return a person's view as JSON, and note since when they can have seen its suggestion."""
-        view = self.session.person(person)
-        suggested = view["suggestion"], view["task"], view["steps"]
-        if self._suggested.get(person, (None, 0))[0] != suggested:
-            self._suggested[person] = suggested, view["seq"]
-        return _json(view)
 
     def _deliver(
         self, futures: list[asyncio.Future[Outcome]], outcomes: list[Outcome], changes: dict[str, bytes | None],
@@ -273,7 +263,6 @@ class Service:
         """
         future: asyncio.Future[Any] = self._loop.create_future()
         kind = event.kind if isinstance(event, Event) else "erased"
-        before = self.views.get(event.who or "") if isinstance(event, Event) and self._may_answer(event) else None
         began, outcome = self._loop.time(), "failed"
         try:
             self._reports.put_nowait((event, future))
@@ -288,15 +277,7 @@ class Service:
             seconds = self._loop.time() - began
             self.measures.add(kind, outcome, seconds)
             REPORTS.info("report", extra={"event": kind, "outcome": outcome, "seconds": round(seconds, 6)})
-        if before is not None:
-            self.measures.acted(before, getattr(event, "action", None), answer)
         return answer
-
-    def _may_answer(self, event: Event) -> bool:
-        """Return whether an event is an action of a person who can have seen what was suggested."""
-        action, seq = getattr(event, "action", None), getattr(event, "seq", None)
-        since = self._suggested.get(event.who or "", (None, 0))[1]
-        return action is not None and (seq is None or getattr(event, "followed", None) is not None or seq >= since)
 
     def unready(self) -> list[str]:
         """Return why the service is not ready to do all its work; empty if it is."""
@@ -449,9 +430,7 @@ class Service:
         for person, entry in found.items():
             if self._outdated[person] == missing[person]:
                 self._entries[person] = entry
-        now = self.outlook
-        rest = {"seq": now.events, "paused": now.paused, "robots": now.robots, "log": now.recent}
-        rest |= {"time": round(self.session.now(), 3), "fault": now.fault, "tasks": list(self.session.tasks)}
+        rest = self.outlook.as_dict() | {"time": round(self.session.now(), 3), "tasks": list(self.session.tasks)}
         rest["problems"] = self.problems()
         entries = found | self._entries
         people = b",".join(entries[person] for person in self.views if person in entries)
@@ -489,8 +468,8 @@ def _changed(person: str, view: bytes | None) -> bytes:
     return streamed("left", _json({"person": person})) if view is None else streamed("view", view)
 
 
-def _instruction(number: int, robot: Mapping[str, Any]) -> bytes:
-    return streamed("robot", _json({"robot": number, "instruction": robot}))
+def _instruction(number: int, robot: RobotView) -> bytes:
+    return streamed("robot", _json({"robot": number, "instruction": robot.as_dict()}))
 
 
 def _json(document: Any) -> bytes:

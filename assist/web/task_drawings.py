@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from planner import CostToGo
@@ -12,6 +12,7 @@ from ..declare.catalogue import FIRST
 from ..drawing import Artist
 from ..people.goals import Goals, each_of, first_of
 from ..people.hidden_type import several
+from .schemas import Drawn, Wanted
 
 
 class Pictures:
@@ -48,13 +49,14 @@ class Pictures:
         artist = self.artist(task, language)
         return {action: artist.say(action) for action in actions if artist.has_words(action)}
 
-    def of(self, task: CostToGo | Goals, state: int, actions: Sequence[str], width: int) -> dict[str, Any]:
-        """Draw a state, about `width` pixels wide, and describe actions in words."""
+    def of(self, task: CostToGo | Goals, state: int, seen: Mapping[str, Any], width: int) -> Drawn:
+        """Draw the state of a person's view, about `width` pixels wide, and describe its actions in words."""
         artist, values = self.artist(task), first_of(task).values([state])[0].tolist()
         with self._lock:
             picture = artist.draw(values, width=width, goal=False, theme=None)
             goal = artist.scene(values).goal
-        return {
-            "svg": picture.svg, "text": picture.text, "goal": [{"text": text, "done": done} for text, done in goal],
-            "words": {action: artist.say(action) for action in actions}, "language": artist.profile.language,
-        }  # fmt: skip
+        return Drawn(
+            svg=picture.svg, text=picture.text, goal=tuple(Wanted(*one) for one in goal),
+            words={action: artist.say(action) for action in seen["applicable"]}, language=artist.profile.language,
+            seq=seen["seq"],
+        )  # fmt: skip

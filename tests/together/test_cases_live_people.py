@@ -99,7 +99,7 @@ def test_actions_are_shown_and_recorded_as_the_task_names_them(tiny: Table, tmp_
         session.join(f"person-{number}")
         session.observe(f"person-{number}", form)
     assert {row["action"] for row in session.log()} == {"(fetch box-a)"}
-    assert {event["action"] for event in session.outlook().recent if event["event"] == "acted"} == {"(fetch box-a)"}
+    assert {event["action"] for event in session.outlook().log if event["event"] == "acted"} == {"(fetch box-a)"}
     session.close()
 
 

@@ -200,6 +200,11 @@ class Cohort(Teams, History[StudyRecord]):
 
     # Views.
 
+    def followed(self, record: StudyRecord) -> bool | None:
+        """Return whether an action followed a suggestion; None if there was none, or it is no action."""
+        suggestion = None if record.seen is None else record.seen.suggestion
+        return None if suggestion is None else suggestion == getattr(record.event, "action", None)
+
     def touched(self, record: StudyRecord) -> set[str]:  # noqa: ARG002 it is the latest
         """Return the participants whose views the latest event, which this is, has changed."""
         return set(self.changed)
@@ -274,9 +279,9 @@ class Cohort(Teams, History[StudyRecord]):
         """Empty, since each participant's team has a robot of its own."""
         return (IDLE,)
 
-    def robot(self, number: int = 1) -> dict[str, Any]:  # noqa: ARG002 all say the same
+    def robot(self, number: int = 1) -> RobotView:  # noqa: ARG002 all say the same
         """Return an instruction without a destination, since each participant's team has a robot of its own."""
-        return RobotView(seq=self.count).as_dict()
+        return RobotView(seq=self.count)
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Return all actions in tasks, in the format of `fit`; with `task`, only those in this task."""

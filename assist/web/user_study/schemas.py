@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ...declare.declared import declared
 from ...live.views import PersonView
+from ..schemas import Progress
 
 
 class Visit(BaseModel):
@@ -58,30 +59,6 @@ class Done(BaseModel):
     """The request has been carried out."""
 
     done: bool
-
-
-class Waiting(BaseModel):
-    """How many participants wait for a group, and how many a group has."""
-
-    here: int
-    of: int
-
-
-class Progress(BaseModel):
-    """A participant's progress: the present task or questionnaire (`what`), with its questions in their order.
-
-    `over` is whether the task is over.
-    """
-
-    kind: str
-    stage: str
-    what: str
-    number: int
-    of: int
-    over: bool
-    completion: str | None
-    items: list[str]
-    waiting: Waiting | None = Field(None, description="While the participant waits for a group.")
 
 
 @declared(kw_only=True)

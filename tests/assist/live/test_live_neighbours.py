@@ -243,7 +243,7 @@ def test_pages_are_sent_those_who_changed(tiny: Table, tmp_path: Path) -> None:
     neighbours = Neighbours(rule="followed", pairs=[[1, 2], [3, 4]])
     setting = Setting(c_suggest=0.0, c_move=0.0, neighbours=neighbours)
     session, sent = Session(tiny, tmp_path / "a.sqlite", setting=setting, policy="none"), list[set[str]]()
-    session.changed = sent.append
+    session.changed = lambda people, _: sent.append(people)
     for name in "abcd":
         session.join(name)
     assert sent == [{"a"}, {"a", "b"}, {"c"}, {"c", "d"}]

@@ -312,9 +312,9 @@ def test_an_answer_to_an_earlier_question_is_refused(tmp_path: Path) -> None:
     assert "question" in later
     with pytest.raises(InapplicableError, match="there is a later question; expected an answer to that"):
         session.answer("ann", True, seq=seen["seq"])
-    assert session.outlook().robots[0]["questions"] == [later["question"]]
+    assert [one.as_dict() for one in session.outlook().robots[0].questions] == [later["question"]]
     assert "question" not in session.answer("ann", True, seq=later["seq"])
-    assert "questions" not in session.outlook().robots[0]
+    assert not session.outlook().robots[0].questions
     session.close()
 
 
@@ -361,7 +361,7 @@ def test_a_journal_with_an_answer_to_an_unrecorded_question_is_opened(tmp_path: 
     with closing(sqlite3.connect(tmp_path / "journal.sqlite")) as db, db:
         db.execute("UPDATE events SET record = json_remove(record, '$.advice')")
     again = Session(three_goals("tiny"), tmp_path / "journal.sqlite", setting=ASKS, policy=Failing())
-    assert (again.outlook().events, again.person("ann")["seq"]) == (last, last)
+    assert (again.outlook().seq, again.person("ann")["seq"]) == (last, last)
     assert again.beliefs() == believed
     again.close()
 

@@ -168,13 +168,13 @@ def test_two_robots_that_report_the_same_arrival(tiny: Table, tmp_path: Path) ->
     session.report_all(
         [Joined(person="ann"), *(Acted(person="ann", action=action) for action in ("(fetch box-a)", WRONG))]
     )
-    assert [one["person"] for one in session.outlook().robots] == ["ann", None]
+    assert [one.person for one in session.outlook().robots] == ["ann", None]
     for order in ((1, 2), (2, 1)):
         session.report_all([Arrived(person="ann", robot=number) for number in order])
-        assert [one["location"] for one in session.outlook().robots] == ["ann", "ann"]
-        assert [one["suggestion"] is None for one in session.outlook().robots] == [False, True]
+        assert [one.location for one in session.outlook().robots] == ["ann", "ann"]
+        assert [one.suggestion is None for one in session.outlook().robots] == [False, True]
     session.report_all([Arrived(robot=1)])
-    assert [one["person"] for one in session.outlook().robots] == [None, "ann"]  # who is still there
+    assert [one.person for one in session.outlook().robots] == [None, "ann"]  # who is still there
     first, again, other = session.report_all([
         Arrived(person="ann", robot=1, id="7"), Arrived(person="ann", robot=1, id="7"),
         Arrived(person="ann", robot=2, id="7"),

@@ -156,11 +156,11 @@ def test_old_answers_and_old_tasks_are_those_of_before(opened: Callable[..., Ses
             assert isinstance(answers[event], InapplicableError) == (not rows), "nobody goes back into an old task"
             del rows[-1:]
         if kind == "acted":
-            time = session.outlook().recent[-1]["time"]
+            time = session.outlook().log[-1]["time"]
             rows.append({
                 "person": name, "episode": str(episode[name]), "step": len(rows), "action": action,
                 "suggestion": seen["suggestion"], "task": tasks[name], "time": time,
-                    "place": list(tasks).index(name), "order": session.outlook().events,
+                    "place": list(tasks).index(name), "order": session.outlook().seq,
                     "since": 1 + list(tasks).index(name),
             })  # fmt: skip
     expected = [row for name in episode for e in range(1, episode[name] + 1) for row in log.get((name, e), [])]
@@ -295,9 +295,9 @@ def test_whoever_waits_is_served_when_time_elapses(opened: Callable[..., Session
         served.append(session.recommend().person)
     assert sorted(served) == names
     session.elapse()  # no person is left to be served, which is recorded once
-    count = session.outlook().events
+    count = session.outlook().seq
     session.elapse()
-    assert session.outlook().events == count
+    assert session.outlook().seq == count
 
 
 def test_people_come_go_and_have_tasks_of_their_own(opened: Callable[..., Session]) -> None:

@@ -56,7 +56,7 @@ def test_a_study_completes_behind_a_proxy_that_fails_twice(
     with running(app, listening), proxy(tmp_path, port, behind), ThreadPoolExecutor(1) as threads:
         rehearsal = threads.submit(Rehearsal(participants).run, service, tasks, base)
         for events in (4, 12):
-            while session.outlook().events < events and not rehearsal.done():
+            while session.outlook().seq < events and not rehearsal.done():
                 time.sleep(0.01)
             (tmp_path / "down").touch()
             time.sleep(seconds)

@@ -475,7 +475,7 @@ def test_two_robots_have_a_topic_each(
             await client.publish("robot/2/arrived", json.dumps({"person": to, "id": "1"}), qos=1)
             await until(lambda: seen["robot/2"]["arrived"])
             assert not seen["robot/1"]["arrived"]
-            assert here.session.outlook().robots[1]["location"] == to
+            assert here.session.outlook().robots[1].location == to
 
     here.run(settings_file(tmp_path, broker, topics), work)
     for number in ("0", "3", "x"):
@@ -555,11 +555,11 @@ def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path
                 await client.publish(topic, payload, qos=1)
             await until(lambda: {"s1", "s2", "s3", "7", "without"} <= set(answers))
             await until(lambda: any(errand["location"] == "bob" for errand in robot))
-            here_before = here.session.outlook().events
+            here_before = here.session.outlook().seq
             await client.publish("scan/ann", b"s1: TAKE 4711", qos=1)
             answers.pop("s1")
             await until(lambda: "s1" in answers)
-            assert here.session.outlook().events == here_before
+            assert here.session.outlook().seq == here_before
             await client.publish("next/ann", b'{"id": "again"}', qos=1)
             await until(lambda: "again" in answers)
             assert json.loads(here.service.views["ann"])["steps"] == 0

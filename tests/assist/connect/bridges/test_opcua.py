@@ -279,9 +279,9 @@ def test_systems_that_poll_have_a_server(tmp_path: Path) -> None:
             assert (await poll.answer("bob", "next-1"))["status"] == "recorded"
 
             await poll.node("Robots/1/Arrived").write_value("bob")
-            while (errand := here.session.outlook().robots[0])["location"] != "bob":
+            while (errand := here.session.outlook().robots[0]).location != "bob":
                 await asyncio.sleep(0.02)
-            await poll.until("Robots/1/Person", lambda person: person == (errand["person"] or ""))
+            await poll.until("Robots/1/Person", lambda person: person == (errand.person or ""))
             for path in ("People/ann/Suggestion", "People/ann/Answer", "Robots/1/Person"):
                 with pytest.raises(ua.UaError, match="BadUserAccessDenied"):
                     await poll.node(path).write_value("mine")

@@ -77,7 +77,7 @@ def test_two_robots_drive_by_an_action_each(tmp_path: Path) -> None:
         for name in ("person-1", "person-2"):
             for action in ("(fetch box-a)", "(place hammer slot-2 box-a)"):
                 await here.service.report(Acted(person=name, action=action))
-        while {one["location"] for one in here.session.outlook().robots if one["arrived"]} != {"person-1", "person-2"}:
+        while {one.location for one in here.session.outlook().robots if one.arrived} != {"person-1", "person-2"}:
             await asyncio.sleep(0.05)
 
     settings = SETTINGS.replace('"/go_to"', '"/robot{robot}/go_to"')
@@ -85,7 +85,7 @@ def test_two_robots_drive_by_an_action_each(tmp_path: Path) -> None:
     sent = {one["action"]: one["args"]["name"] for one in ros.heard if one["op"] == "send_action_goal"}
     assert sorted(sent) == ["/robot1/go_to", "/robot2/go_to"]
     assert [sent[f"/robot{number}/go_to"] for number in (1, 2)] == [
-        one["location"] for one in here.session.outlook().robots
+        one.location for one in here.session.outlook().robots
     ]
     (file := tmp_path / "one.toml").write_text(SETTINGS.replace("PORT", "1"))
     with pytest.raises(InputFileError, match=r"go_to.action: '/go_to'; expected {robot} in it"):

@@ -52,7 +52,7 @@ def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> Non
     bob.report("left")
     assert session.person("ann")["study"]["waiting"] == {"here": 1, "of": 3}
     changed: set[str] = set()
-    session.changed = changed.update
+    session.changed = lambda people, _: changed.update(people)
     (cyd,) = waiting(session, "cyd")
     assert ann.stage == "waiting"
     changed.clear()
