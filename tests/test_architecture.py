@@ -37,20 +37,20 @@ ROOMS = {
         influence_kernels type_kernels trust_rules neighbours neighbourhood sights theta_reach perceived_suggestions
         action_names signals""",
     "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings robot_actions
-        trust_shares pomdp assumptions visiting_robot problem_arrays people_arrays rows problem_rows policy
-        rows_of_people lazy_policy archive belief_filter belief_update dynamics_kernel dynamics joint_belief
-        beliefs seen_beliefs hidden_beliefs rounding action_values krylov sparse_iteration policy_iteration
-        mdp_values expected_values qmdp solution_cache alpha_vectors upper_hull convex_bound belief_hulls
-        vector_lists hsvi search memory_needed further_beliefs solver time_expansion subproblem_frontier
-        attention_subproblem frontier_bounds likely_states truncated_task state_cache closed_problem
-        growing_problem backups leaf_estimates compliance_relaxation truncated_bound truncated_policy
-        person_problem""",
+        trust_shares pomdp each_goal assumptions visiting_robot problem_arrays people_arrays rows rounding
+        action_values krylov sparse_iteration policy_iteration mdp_values problem_rows policy rows_of_people
+        lazy_policy archive belief_filter belief_update dynamics_kernel dynamics joint_belief beliefs
+        seen_beliefs hidden_beliefs expected_values qmdp solution_cache alpha_vectors upper_hull convex_bound
+        belief_hulls vector_lists hsvi search memory_needed further_beliefs solver time_expansion
+        subproblem_frontier attention_subproblem frontier_bounds likely_states truncated_task state_cache
+        shared_task closed_problem growing_problem backups leaf_estimates compliance_relaxation truncated_bound
+        truncated_policy person_problem""",
     "assist.team": """policy_names by_policy state action_check assignment seen baselines attention attention_never
         outlook questions robots_at_work parts engine priority whittle rollout policies affordable drawn solving union
         matching pool schedule common_random_numbers goal_knowledge trace episode episodes trust_of_people model_group
         beginning task_view requested watcher run traced_run simulate belief_trace illustration""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
-    "assist.certify": """options action_prices envelope each_goal priced_steps prices certificate visited_beliefs
+    "assist.certify": """options action_prices envelope priced_steps prices certificate visited_beliefs
         computation truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.certify.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",

@@ -116,7 +116,7 @@ class Simulated:
         self.team, self._travel, self._seed = team, travel, seed
         extra = pool.setting.fleet.extra
         most = float(travel.c_move.max()) * float(travel.distance.max()) + float(extra[np.isfinite(extra)].max())
-        dearest = max(max(1.0, p.dearest) + float(p.pomdp.robot_costs.max()) for p in pool.policies) + most
+        dearest = max(max(1.0, p.problem.dearest) + float(p.pomdp.robot_costs.max()) for p in pool.policies) + most
         self._rest = dearest * gamma**self._end / (1 - gamma)
         self.parts: list[Floats] = []
         self.count, self.seconds = 0, 0.0

@@ -62,7 +62,8 @@ class Comparison:
         team = members_of(pool, options.get("team"))
         travel = options.get("travel") or pool.setting.travel(len(team))
         runs = {name: Simulated(pool, policy, team, travel, seed=seed_number) for name, policy in policies.items()}
-        if first is not None and all(math.isfinite(pool.policies[model].size) for model in pool.model[list(team)]):
+        problems = [pool.policies[model].problem for model in pool.model[list(team)]]
+        if first is not None and all(math.isfinite(problem.size) for problem in problems):
             upper = free_attention_bound(pool, team, travel)
             _simulate(runs, min(episodes, FIRST_EPISODES), None, progress)
             first(_certificates(runs, upper, math.nan))

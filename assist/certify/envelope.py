@@ -186,7 +186,7 @@ def require_envelope(pool: Pool, members: Iterable[int], paths: int) -> None:
     if not pool.setting.neighbourhood(len(members)).watched.any():
         return
     for model in set(pool.model[members].tolist()):
-        pool.policies[model].require_enumerated(
+        pool.policies[model].problem.require_enumerated(
             "a bound with neighbours who see each other", "what they come to see may move theta in any state"
         )
     if paths:

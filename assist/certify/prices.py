@@ -22,17 +22,17 @@ from planner.system.progress import Progress
 
 from ..people.decision import Floats
 from ..person.attention_subproblem import AttentionSubproblem
+from ..person.each_goal import TruncatedProblem
 from ..person.memory_needed import first_bounds_bytes, policy_bytes, require_room
 from ..person.qmdp import QMDP, look_ahead
 from ..person.solver import Solution
 from ..person.time_expansion import HERE, TimeExpansion
 from ..person.travel import Travel
-from ..person.truncated_bound import OuterRelaxation, TruncatedProblem, likely
+from ..person.truncated_bound import OuterRelaxation, likely
 from ..team.pool import Pool
 from ..team.simulate import simulate
 from ..team.state import TeamAction, TeamState
 from .action_prices import supply
-from .each_goal import given_goals
 from .envelope import Envelope, Lifted, OwnTheta
 from .options import BoundOptions
 
@@ -181,14 +181,11 @@ def kinds_of(
         room = memory_limit_mb / len(members)
         # The outer relaxations of all kinds are kept in memory, if they are included. An upper bound on a truncated
         # problem is one on that of the whole task (`person.truncated_bound`).
-        beyond: list[tuple[float, TruncatedProblem]] | None = pool.policies[model].bounded(
+        given = pool.policies[model].bounded(
             entry, with_outer=with_outer, until=share, memory_limit_mb=room if with_outer else memory_limit_mb,
             kept_mb=room,
         )  # fmt: skip
-        if beyond is None:
-            goals = given_goals(pool.policies[model].pomdp)
-            beyond = [(chance, TruncatedProblem(problem)) for chance, problem in goals]
-        parts += [(chance, problem, key) for chance, problem in beyond]
+        parts += [(chance, problem, key) for chance, problem in given]
     _require_room_for_all([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)
     kinds = []
     for chance, one, key in parts:

@@ -20,8 +20,9 @@ def relaxed_value(bound: TeamBound, *, episodes: int = 20_000, seed: Seed = 0) -
     certificate's gap below this mean is due to the relaxation and the team policy, not to the solver. Costs after the
     horizon, at most a millionth of the dearest step for each person, are left out.
     """
+    beyond = "what comes beyond a truncated one is bounded, and not simulated"
     for policy in bound.pool.policies:
-        policy.require_enumerated("relaxed_value", "what comes beyond a truncated one is bounded, and not simulated")
+        policy.problem.require_enumerated("relaxed_value", beyond)
     episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
     gamma = bound.pool.setting.gamma
     price = bound.price if bound.on_actions is None else np.vstack([bound.price, bound.on_actions])

@@ -36,7 +36,7 @@ def truncated_prices(run: Computation, window: int | None) -> tuple[int, list[Su
 
 def _worth_prices(run: Computation) -> bool:
     """Return whether prices are optimised: not if states need searches or memory is short."""
-    searches = any(policy.searches for policy in run.policies)
+    searches = any(policy.problem.searches for policy in run.policies)
     return not searches and run.memory_limit_mb / len(run.policies) >= run.options.price_memory_mb
 
 

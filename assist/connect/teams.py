@@ -273,12 +273,12 @@ class Sight:
     def __init__(self, teams: Teams, *, beliefs: bool) -> None:
         self.teams, self.beliefs = teams, beliefs
         self._policies = teams.pool.policies
-        extents = [policy.extent for policy in self._policies]
+        extents = [policy.problem.extent for policy in self._policies]
         pomdps = [policy.pomdp for policy in self._policies]
         self.hidden, self._prior = pomdps[0].prior.shape, np.array([pomdp.prior for pomdp in pomdps])
         self.robots, self.states = max(one.robot_actions for one in extents), max(one.states for one in extents)
         self.models, farthest = len(pomdps), max(one.farthest for one in extents)
-        paid = teams.pool.setting.max_steps * max(policy.dearest for policy in self._policies)
+        paid = teams.pool.setting.max_steps * max(policy.problem.dearest for policy in self._policies)
         self.largest = (farthest if np.isfinite(farthest) else paid) + 1.0
 
     def _of_people(self, what: Callable[[AssistPOMDP, Ints], NDArray[Any]]) -> NDArray[Any]:

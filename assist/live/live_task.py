@@ -32,7 +32,8 @@ from ..person.person_problem import is_whole
 from ..person.policy import Policy
 from ..person.qmdp import qmdp
 from ..person.settings import Setting
-from ..person.truncated_policy import SharedTask, TruncatedPolicy
+from ..person.shared_task import SharedTask
+from ..person.truncated_policy import TruncatedPolicy
 
 
 class LiveTask:
@@ -69,7 +70,7 @@ class LiveTask:
         if policy is None:
             require_one_goal(task, prior.weights)
         self.policy = policy or (task if isinstance(task, Policy) else _policy_for(task, setting, prior))
-        self.initial = self.policy.task.initial
+        self.initial = self.policy.problem.task.initial
         require_goal(self.choices.h[self.row(self.initial)])
         self.matcher = Matcher(self.choices.names)
 
@@ -88,7 +89,7 @@ class LiveTask:
 
     def state(self, row: int) -> int:
         """Return the task state of a row."""
-        return int(self.policy.states(self.policy.places(np.array([row])))[0])
+        return int(self.policy.problem.states(self.policy.places(np.array([row])))[0])
 
     def after(self, row: int, slot: int) -> int:
         """Return the row to which a choice leads."""
@@ -190,7 +191,7 @@ def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) ->
 
 def _known(task: CostToGo | Goals | Policy) -> CostToGo | Choices:
     """Return a task's cost-to-go, that of the first goal if there are several; of an enumerated policy, the choices."""
-    return task.task if isinstance(task, Policy) else first_of(task)
+    return task.problem.task if isinstance(task, Policy) else first_of(task)
 
 
 def digest(task: CostToGo | Goals | Policy) -> str:

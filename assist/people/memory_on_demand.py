@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -147,3 +147,28 @@ class Remembering(CostToGo):
                 self._pairs[size - len(new) : size] = new
             numbers = np.array([self._number[row] for row in rows], dtype=np.int64)
         return numbers[place.reshape(-1)]
+
+
+@dataclass(frozen=True)
+class Memoryless:
+    """A task of people without memory; it answers the questions about memory that a `Remembering` task answers."""
+
+    known: CostToGo | Goals
+
+    def state_of(self, pairs: ArrayLike) -> Ints:
+        """Return the states themselves, shape (N,)."""
+        return np.asarray(pairs, dtype=np.int64)
+
+    def without_memory(self, states: ArrayLike) -> Ints:
+        """Return the states themselves, shape (N,)."""
+        return np.asarray(states, dtype=np.int64)
+
+    def with_terms(self, choices: Choices, pairs: Ints) -> Choices:
+        """Return the choices, which have no terms."""
+        del pairs
+        return choices
+
+
+def memory_of(task: CostToGo | Goals) -> Remembering | Memoryless:
+    """Return what tells the states of a task apart from what people remember there."""
+    return task if isinstance(task, Remembering) else Memoryless(task)

@@ -13,23 +13,30 @@ have been asked for, a new row gets its own from the same problem.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import CostToGo
+
 from ..people.choices import WAIT
 from ..people.decision import NOTHING, Floats
+from ..people.goals import each_of, first_of
+from ..people.memory_on_demand import memory_of
+from .assumptions import Assumptions
 from .expected_values import expected
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
-from .problem_rows import ProblemRows, Snapshot
-from .rows import OWN, Rows
-from .state_cache import NONE
+from .problem_rows import Extent, ProblemRows, Snapshot
+from .rows import NONE, OWN, Rows
+from .shared_task import SharedTask
 from .truncated_task import TruncatedTask
 
 Ints = NDArray[np.int64]
@@ -72,32 +79,65 @@ class GrowingProblem(ProblemRows):
 
     Parameters
     ----------
-    around : callable
-        Returns the truncated task of one step from some states, as `StateCache.around` does.
-    problem : callable
-        Returns the person's problem on a truncated task.
-    initial : int
-        The place where an episode begins; it has row 0.
-    most : int
-        Number of rows above which those that nobody holds are evicted.
-    ahead : bool
-        Whether the effects of all suggestions on trust are computed with each row; if not, when they are first used.
+    ground : SharedTask
+        The task. Above its number of rows, those that nobody holds are evicted.
+    assumed : Assumptions
+        What the robot assumes of the person.
     """
 
-    complete, lasting = False, NONE
+    complete, lasting, size = False, NONE, math.inf
 
-    def __init__(
-        self, around: Callable[..., TruncatedTask], problem: Callable[[TruncatedTask], AssistPOMDP], initial: int, *,
-        most: int, ahead: bool,
-    ) -> None:  # fmt: skip
-        self._around, self._problem, self._most, self._ahead = around, problem, most, ahead
-        self._limit = most
+    def __init__(self, ground: SharedTask, assumed: Assumptions) -> None:
+        self.ground, self.assumed, self._limit = ground, assumed, ground.rows
         self._rows = Rows(OF_PLACES | OF_CHOICES)
         self._tables = OrderedDict[str, None]()  # the last used last
         self._lock = threading.RLock()
-        self._step = self._learn(np.array([initial]))
+        self._step = self._learn(np.array([self.task.initial]))  # it has row 0
         self.first = self._step.pomdp
         self._snapshot, self._version = self._taken(), self._rows.version
+
+    @property
+    def task(self) -> CostToGo:
+        """The cost-to-go of the whole task, that of the first goal if there are several."""
+        return first_of(self.ground.known)
+
+    def task_of(self, goal: int) -> CostToGo:
+        """Return the cost-to-go of the whole task for one of the goals."""
+        return each_of(self.ground.known)[goal]
+
+    @cached_property
+    def extent(self) -> Extent:
+        """The largest numbers that occur anywhere in the task."""
+        return self.ground.extent(self.assumed)
+
+    @property
+    def searches(self) -> bool:
+        """Whether a state that was not visited before takes a slow search."""
+        return self.task.searches
+
+    @property
+    def cheapest(self) -> float:
+        """The smallest positive cost of an action; 1 if all actions are free."""
+        costs = self.task.task.action_costs
+        return float(costs[costs > 0].min()) if (costs > 0).any() else 1.0
+
+    @property
+    def dearest(self) -> float:
+        """The largest cost of an action or a wait."""
+        return float(self.task.task.action_costs.max(initial=1.0))
+
+    def states(self, places: Ints) -> Ints:
+        """Return the task state of each place, shape (N,)."""
+        return memory_of(self.ground.known).state_of(places)
+
+    def require_enumerated(self, what: str, why: str) -> None:
+        """Raise a `ValueError`, since not all states are enumerated."""
+        size = f"{len(self.task):,} states or more"
+        raise ValueError(f"{what}: expected an enumerated task, as {why}; this one is too large, with {size}")
+
+    def on(self, region: TruncatedTask) -> AssistPOMDP:
+        """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
+        return self.assumed.problem(region.choices, region.bounds_of_anybody(self.assumed))
 
     def rows(self, places: Ints, holder: object = None) -> Ints:
         """Return the row of each place, shape (N,), and compute what is not known of it.
@@ -116,7 +156,8 @@ class GrowingProblem(ProblemRows):
             missing[~missing] = ~self._rows["known"][rows[~missing]]
             if self._rows.used + missing.sum() > self._limit:
                 self._evict(np.union1d(self._rows.held(holder), rows[rows >= 0]))
-                self._limit = max(self._most, self._rows.used + self._most // 4)  # where many are held, not each time
+                most = self.ground.rows  # where many are held, not each time
+                self._limit = max(most, self._rows.used + most // 4)
             if missing.any():
                 self._learn(wanted[missing])
                 rows = self._rows.find(wanted)
@@ -219,9 +260,10 @@ class GrowingProblem(ProblemRows):
 
         `then` are successors to which suggestions lead.
         """
-        ahead = self._ahead or bool(self._tables)
-        region = self._around(places, then=then, ahead=ahead)
-        pomdp, rows, inside = self._problem(region), self._rows, np.ones(len(region.states), dtype=bool)
+        # Where looking up a state is slow, the effects of suggestions on trust are computed when they are first used.
+        ahead, optimal = not self.searches or bool(self._tables), self.assumed.suggestions == "optimal"
+        region = self.ground.visited.around(places, then=then, ahead=ahead, advice_is_optimal=optimal)
+        pomdp, rows, inside = self.on(region), self._rows, np.ones(len(region.states), dtype=bool)
         inside[region.frontier] = False
         at = np.sort(np.unique(region.states, return_index=True)[1])  # each place once; those asked for come first
         at = at[rows.find(region.states[at]) < 0]

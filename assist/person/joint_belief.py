@@ -197,7 +197,7 @@ class JointBelief:
     def states(self, policy: Policy) -> dict[int, float]:
         """Return the probability of each possible task state."""
         found: dict[int, float] = {}
-        states = policy.states(self.places).tolist()
+        states = policy.problem.states(self.places).tolist()
         for state, probability in zip(states, self.probability.tolist(), strict=True):
             found[state] = found.get(state, 0.0) + probability
         return found

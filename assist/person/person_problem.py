@@ -17,7 +17,7 @@ from ..people.arguments import whole
 from ..people.goals import Goals, each_of, first_of, known_task, require_one_goal
 from ..people.human import Human
 from ..people.memory import choices_of
-from ..people.memory_on_demand import Remembering, on_demand
+from ..people.memory_on_demand import memory_of, on_demand
 from ..people.misconception import Misconception
 from ..people.ranges import Population
 from .assumptions import Assumptions
@@ -150,8 +150,8 @@ class PersonProblem:
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
         task = on_demand(known, people.weights)
-        if isinstance(task, Remembering) and start is not None:
-            start = int(task.without_memory([start])[0])
+        if start is not None:
+            start = int(memory_of(task).without_memory([start])[0])
         of = partial(TruncatedTask.of, task, start=start, population=people, human=human, time_limit=time_limit)
         problem = closed_problem(region := of(states=states, progress=progress), assumed)
         while (states := states // 2) >= 20:
@@ -159,5 +159,4 @@ class PersonProblem:
             if needed <= 0.8e6 * memory_limit_mb:
                 break
             problem = closed_problem(region := of(states=states), assumed)
-        at = task.state_of(region.states) if isinstance(task, Remembering) else region.states
-        return cls(known, problem, at)
+        return cls(known, problem, memory_of(task).state_of(region.states))

@@ -10,15 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo
-
-from ..people.choices import Choices
 from ..people.decision import Floats
+from .each_goal import TruncatedProblem, given_goals
+from .mdp_values import evaluate
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
 from .problem_rows import ProblemRows, WholeProblem
@@ -29,24 +28,6 @@ Ints = NDArray[np.int64]
 
 OfRows = Callable[[Ints], Floats]
 """A function of rows, shape (N,), that returns values for known type and theta, shape (N, H, T), in cost units."""
-
-
-class Extent(NamedTuple):
-    """The largest numbers that occur in a person's problem, or upper bounds on them if states are solved on demand.
-
-    Attributes
-    ----------
-    states : int
-        Number of states.
-    robot_actions : int
-        R, the largest number of robot actions in a state.
-    farthest : float
-        The largest finite cost-to-go of any goal, in cost units; infinite if it is unknown.
-    """
-
-    states: int
-    robot_actions: int
-    farthest: float
 
 
 class Policy:
@@ -89,45 +70,6 @@ class Policy:
         """Solve now what would otherwise be solved on first use."""
         return self
 
-    @property
-    def task(self) -> Choices | CostToGo:
-        """The whole task: the choices in all of its states, or its cost-to-go."""
-        return self.pomdp.model.choices
-
-    def task_of(self, goal: int) -> Choices | CostToGo:
-        """Return the whole task with one of the goals, given by its number."""
-        return self.pomdp.model.choices.of_goal(goal)
-
-    @property
-    def size(self) -> float:
-        """The number of states whose values are kept; infinite if they are not those of the whole task."""
-        return len(self.pomdp.robot_actions)
-
-    @property
-    def extent(self) -> Extent:
-        """The largest numbers that occur anywhere in the task, for arrays of a fixed size."""
-        h = self.pomdp.model.choices.goals.h
-        most, robots = self.pomdp.suggested.shape
-        return Extent(most, robots, float(h[np.isfinite(h)].max(initial=0.0)))
-
-    @property
-    def searches(self) -> bool:
-        """Whether a state that was not visited before takes a slow search."""
-        return False
-
-    @property
-    def cheapest(self) -> float:
-        """The smallest positive cost of an action, in cost units; 1 if all actions are free."""
-        return self.pomdp.model.choices.unit
-
-    @property
-    def dearest(self) -> float:
-        """The largest cost of an action or a wait, in cost units."""
-        return float(self.pomdp.model.choices.costs.max())
-
-    def require_enumerated(self, what: str, why: str) -> None:
-        """Check that all states are enumerated. If not, the `ValueError` says that `what` needs them, and `why`."""
-
     @cached_property
     def problem(self) -> ProblemRows:
         """The problem with its rows; those of a whole task unless a subclass says otherwise."""
@@ -140,11 +82,6 @@ class Policy:
     def places(self, rows: Ints) -> Ints:
         """Return the place of each row, shape (N,)."""
         return self.problem.places(rows)
-
-    def states(self, places: Ints) -> Ints:
-        """Return the task state of each place, shape (N,)."""
-        state = self.pomdp.model.choices.state
-        return places if state is None else state[places]
 
     @property
     def arrays(self) -> ProblemArrays:
@@ -165,17 +102,18 @@ class Policy:
         return None if value is None else value.__getitem__
 
     @property
-    def unhelped(self) -> OfRows | None:
-        """Values of a robot that never helps; None if they follow from `pomdp` alone."""
-        return None
+    def unhelped(self) -> OfRows:
+        """Values of a robot that never helps a person whose type and theta it knows; they are computed now."""
+        never = np.zeros(len(self.pomdp.robot_actions), dtype=np.int64)
+        return evaluate(self.pomdp.unattended(), never).__getitem__
 
-    def bounded(self, entry: float, **limits: Any) -> list[tuple[float, Any]] | None:
-        """Return each goal's probability and the problem whose upper bound holds for the whole task.
+    def bounded(self, entry: float, **limits: Any) -> list[tuple[float, TruncatedProblem]]:
+        """Return each possible goal's probability, and the problem given this goal whose upper bound holds for all.
 
-        None if that is `pomdp` itself. The arguments are those of `person.truncated_bound.bounded`.
+        The arguments are those of `person.truncated_bound.bounded`.
         """
         del entry, limits
-        return None
+        return [(chance, TruncatedProblem(problem)) for chance, problem in given_goals(self.pomdp)]
 
 
 def not_worth_its_cost(c_suggest: float) -> str:

@@ -12,6 +12,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import CostToGo
+
+from ..people.choices import Choices
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 from .rows import NONE
@@ -36,6 +39,24 @@ class Snapshot(NamedTuple):
     stamps: Ints
 
 
+class Extent(NamedTuple):
+    """The largest numbers that occur in a person's problem, or upper bounds on them if states are solved on demand.
+
+    Attributes
+    ----------
+    states : int
+        Number of states.
+    robot_actions : int
+        R, the largest number of robot actions in a state.
+    farthest : float
+        The largest finite cost-to-go of any goal, in cost units; infinite if it is unknown.
+    """
+
+    states: int
+    robot_actions: int
+    farthest: float
+
+
 class ProblemRows(Protocol):
     """One person's problem on rows. Methods take N places or rows at a time.
 
@@ -47,11 +68,48 @@ class ProblemRows(Protocol):
         The problem before anybody has come to another place than the initial one; the whole problem if complete.
     lasting : int array
         The rows of which everything is known and stays known: all of them, or none.
+    task : Choices or CostToGo
+        The whole task: the choices in all of its states, or its cost-to-go, that of the first goal if there are
+        several.
+    size : float
+        The number of states whose values are kept; infinite if they are not those of the whole task.
+    extent : Extent
+        The largest numbers that occur anywhere in the task, for arrays of a fixed size.
+    searches : bool
+        Whether a state that was not visited before takes a slow search.
+    cheapest, dearest : float
+        The smallest positive cost of an action, 1 if all actions are free, and the largest cost of an action or a wait,
+        in cost units.
     """
 
     complete: bool
     first: AssistPOMDP
     lasting: Ints
+
+    @property
+    def task(self) -> Choices | CostToGo: ...  # noqa: D102
+    @property
+    def size(self) -> float: ...  # noqa: D102
+    @property
+    def extent(self) -> Extent: ...  # noqa: D102
+    @property
+    def searches(self) -> bool: ...  # noqa: D102
+    @property
+    def cheapest(self) -> float: ...  # noqa: D102
+    @property
+    def dearest(self) -> float: ...  # noqa: D102
+
+    def task_of(self, goal: int) -> Choices | CostToGo:
+        """Return the whole task with one of the goals, given by its number."""
+        ...
+
+    def states(self, places: Ints) -> Ints:
+        """Return the task state of each place, shape (N,)."""
+        ...
+
+    def require_enumerated(self, what: str, why: str) -> None:
+        """Check that all states are enumerated. If not, the `ValueError` says that `what` needs them, and `why`."""
+        ...
 
     @property
     def now(self) -> Snapshot:
@@ -95,10 +153,48 @@ class WholeProblem(ProblemRows):
     pomdp : AssistPOMDP
     """
 
-    complete = True
+    complete, searches = True, False
 
     def __init__(self, pomdp: AssistPOMDP) -> None:
         self.first, self.lasting = pomdp, np.arange(len(pomdp.robot_actions))
+
+    @property
+    def task(self) -> Choices:
+        """The choices in all states."""
+        return self.first.model.choices
+
+    @property
+    def size(self) -> float:
+        """The number of rows."""
+        return len(self.lasting)
+
+    @property
+    def extent(self) -> Extent:
+        """The largest numbers that occur in the arrays."""
+        h = self.task.goals.h
+        most, robots = self.first.suggested.shape
+        return Extent(most, robots, float(h[np.isfinite(h)].max(initial=0.0)))
+
+    @property
+    def cheapest(self) -> float:
+        """The smallest positive cost of a choice; 1 if all are free."""
+        return self.task.unit
+
+    @property
+    def dearest(self) -> float:
+        """The largest cost of a choice."""
+        return float(self.task.costs.max())
+
+    def task_of(self, goal: int) -> Choices:
+        """Return the choices with one of the goals."""
+        return self.task.of_goal(goal)
+
+    def states(self, places: Ints) -> Ints:
+        """Return the task state of each place, shape (N,)."""
+        return places if self.task.state is None else self.task.state[places]
+
+    def require_enumerated(self, what: str, why: str) -> None:
+        """Do nothing: all states are."""
 
     @cached_property
     def now(self) -> Snapshot:

@@ -75,7 +75,7 @@ class RowsOfPeople:
         found = places.copy()
         if self._grows.any():
             for number, flat in by_model(self.model.reshape(-1), np.arange(found.size), len(self.policies)):
-                found.reshape(-1)[flat] = self.policies[number].states(found.reshape(-1)[flat])
+                found.reshape(-1)[flat] = self.policies[number].problem.states(found.reshape(-1)[flat])
         return found
 
     @cached_property

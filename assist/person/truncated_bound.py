@@ -74,6 +74,7 @@ from .attention_subproblem import AttentionSubproblem
 from .backups import bellman_backup
 from .closed_problem import require_no_execution, value_beyond
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
+from .each_goal import TruncatedProblem
 from .leaf_bounds import LeafBounds
 from .mdp_values import initial_upper_bounds, value_iteration
 from .memory_needed import first_bounds_bytes, require_room
@@ -182,28 +183,6 @@ class OuterRelaxation:
             at = np.flatnonzero(layout.step[states] == step)
             upper[at] = np.minimum(upper[at], most[own[at]])
         return replace(visits, pomdp=replace(visits.pomdp, frontier=LeafBounds(states, upper, upper)))
-
-
-@dataclass(frozen=True)
-class TruncatedProblem:
-    """One person's problem whose upper bounds hold for the whole task.
-
-    Attributes
-    ----------
-    problem : AssistPOMDP
-        Problem with a robot that is always present, on the inner truncated task with hidden beta and theta.
-    outer : OuterRelaxation or None
-        The outer relaxation, if it was requested and exists.
-    between : OuterRelaxation or None
-        The same on a smaller truncated task, on which prices are optimised.
-    pairs : int
-        Number of pairs of state and step that are enumerated if attention has a price at each step.
-    """
-
-    problem: AssistPOMDP
-    outer: OuterRelaxation | None = None
-    between: OuterRelaxation | None = None
-    pairs: int = 0
 
 
 def bounded(

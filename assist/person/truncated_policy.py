@@ -24,78 +24,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Table
+from planner import CostToGo
 from planner.system.limits import available_memory
 from planner.system.progress import reporting
 
 from ..people.belief import Grid
 from ..people.decision import Floats
-from ..people.goals import Goals, each_of, first_of, goals_reached, optimal_for_each, prior_of
+from ..people.goals import Goals, each_of, prior_of
 from ..people.hidden_type import HiddenType, OfGoals
-from ..people.memory_on_demand import Remembering
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
 from .closed_problem import closed_problem
+from .each_goal import TruncatedProblem
 from .growing_problem import Backup, GrowingProblem
 from .leaf_estimates import LeafEstimates
 from .memory_needed import require_room
-from .policy import Extent, OfRows, Policy
+from .policy import OfRows, Policy
 from .policy_iteration import SOLVING
 from .pomdp import AssistPOMDP
 from .qmdp import look_ahead
-from .state_cache import StateCache
-from .truncated_bound import TruncatedProblem, bounded
+from .shared_task import SharedTask
+from .truncated_bound import bounded
 from .truncated_task import TruncatedTask
 from .visiting_robot import VisitingRobot
-
-REGION = {"sweep": 20_000, "orbits": 3_000, "on-demand": 200}
-"""Number of states of a policy's truncated task, by the kind of cost-to-go.
-
-A table answers at once; a query by symmetry takes longer, and a search may take seconds.
-"""
 
 NEVER = (-1.0,)
 """The key of estimates for a robot that never helps."""
 
-MOST_STATES = 1 << 62
-"""Number of states that an extent has at most, so that it fits the integers of an environment's space."""
-
-SCANNED = 1 << 16
-"""Number of states of a table that are looked at together."""
-
-ROWS = 20_000
-"""Number of rows, of some kilobytes each, that all policies for the people of a task keep together."""
-
 Ints = NDArray[np.int64]
-
-
-def lookup_kind(known: CostToGo) -> str:
-    """Return how cost-to-go is computed: "sweep" (a table), "orbits" (by symmetry) or "on-demand" (a search)."""
-    return "orbits" if known.method == "on-demand" and not known.searches else known.method
-
-
-def default_size(known: CostToGo | Goals, *, least: int = 1_000) -> int:
-    """Return the number of states of a truncated task for each goal: a share of `REGION`, but at least `least`."""
-    one = REGION[lookup_kind(first_of(known))]
-    return max(one // len(each_of(known)), min(one, least))
-
-
-class SharedTask:
-    """The task of a pool of people, and the cache of its visited states.
-
-    Parameters
-    ----------
-    known : CostToGo or Goals
-    size : int, optional
-        Number of states of each person's truncated task, for each goal; by default `default_size`.
-    policies : int
-        Number of policies that keep rows in memory at the same time.
-    """
-
-    def __init__(self, known: CostToGo | Goals, size: int | None = None, policies: int = 1) -> None:
-        self.known, self.size = known, size or default_size(known)
-        self.rows = ROWS // policies
-        self.visited = StateCache(known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,80 +112,15 @@ class TruncatedPolicy(Policy):
     bounds: dict[tuple[float, bool], list[tuple[float, TruncatedProblem]]] = field(default_factory=dict, repr=False)
     found: dict[int, TruncatedTask] = field(default_factory=dict, repr=False)
 
-    @property
-    def task(self) -> CostToGo:
-        """The cost-to-go of the whole task, that of the first goal if there are several."""
-        return first_of(self.ground.known)
-
-    def task_of(self, goal: int) -> CostToGo:
-        """Return the cost-to-go of the whole task for one of the goals."""
-        return each_of(self.ground.known)[goal]
-
-    @property
-    def size(self) -> float:
-        """Infinity: values of other states than those of the truncated task are not kept."""
-        return math.inf
-
-    @cached_property
-    def extent(self) -> Extent:
-        """The largest numbers that occur anywhere in the task, from all states of a table or from the task's facts."""
-        known = self.task.known if isinstance(self.task, Remembering) else self.ground.known
-        tables = each_of(known)
-        if not all(isinstance(one, Table) for one in tables):
-            task = self.task.task  # no state has more values than the variables
-            return Extent(min(math.prod(task.sizes), MOST_STATES), self._robot_actions(task.most_at_once), math.inf)
-        states, most, farthest = len(tables[0]), 0, 0.0
-        for begin in range(0, states, SCANNED):
-            block = np.arange(begin, min(begin + SCANNED, states))
-            rows = tables[0].choices(block)
-            source = np.repeat(np.arange(len(block)), np.diff(rows.offsets))
-            goes_on = ~goals_reached(known, block)[source]
-            if self.assumed.suggestions == "optimal":
-                goes_on &= optimal_for_each(known, block, rows)
-            most = max(most, int(np.bincount(source[goes_on.any(axis=1)]).max(initial=0)))
-            h = np.concatenate([one.lookup(block) for one in tables])
-            farthest = max(farthest, float(h[np.isfinite(h)].max(initial=0.0)))
-        return Extent(states, self._robot_actions(most), farthest)
-
-    def _robot_actions(self, suggestions: int) -> int:
-        return 1 + suggestions * (1 + self.assumed.robot.execute)
-
-    @property
-    def searches(self) -> bool:
-        """Whether a state that was not visited before takes a slow search."""
-        return self.task.searches
-
-    @property
-    def cheapest(self) -> float:
-        """The smallest positive cost of an action, in cost units; 1 if all actions are free."""
-        costs = self.task.task.action_costs
-        return float(costs[costs > 0].min()) if (costs > 0).any() else 1.0
-
-    @property
-    def dearest(self) -> float:
-        """The largest cost of an action or a wait, in cost units."""
-        return float(self.task.task.action_costs.max(initial=1.0))
-
-    def require_enumerated(self, what: str, why: str) -> None:
-        """Raise a `ValueError`, since not all states are enumerated."""
-        size = f"{len(self.task):,} states or more"
-        raise ValueError(f"{what}: expected an enumerated task, as {why}; this one is too large, with {size}")
-
     @cached_property
     def problem(self) -> GrowingProblem:
-        """The problem on the rows in which people have been; the initial state has row 0."""
-        ground, optimal = self.ground, self.assumed.suggestions == "optimal"
-        around = partial(ground.visited.around, advice_is_optimal=optimal)
-        return GrowingProblem(around, self.on, self.task.initial, most=ground.rows, ahead=not self.searches)
+        """The problem on the rows in which people have been."""
+        return GrowingProblem(self.ground, self.assumed)
 
     @property
     def pomdp(self) -> AssistPOMDP:
         """The problem on all rows so far."""
         return self.problem.now.pomdp
-
-    def states(self, places: Ints) -> Ints:
-        """Return the task state of each place, shape (N,)."""
-        return self.task.state_of(places) if isinstance(self.task, Remembering) else places
 
     @cached_property
     def regions(self) -> tuple[TruncatedTask, ...]:
@@ -244,11 +135,6 @@ class TruncatedPolicy(Policy):
                 known, states=ground.size, population=assumed.population, human=assumed.human, among=ground.known
             )
         return self.found[id(known)]
-
-    def on(self, region: TruncatedTask) -> AssistPOMDP:
-        """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
-        beyond = region.bounds_of_anybody(self.assumed)
-        return self.assumed.problem(region.choices, beyond)
 
     def bounded(
         self, entry: float, *, with_outer: bool = False, until: float = math.inf, kept_mb: float = math.inf, **more: Any
@@ -268,7 +154,7 @@ class TruncatedPolicy(Policy):
             found.append((
                 shares[number],
                 bounded(
-                    self.task_of(number), self.assumed, entry=entry, size=ground.size, with_outer=with_outer,
+                    self.problem.task_of(number), self.assumed, entry=entry, size=ground.size, with_outer=with_outer,
                     until=time.perf_counter() + (until - time.perf_counter()) / left,
                     kept_mb=kept_mb / len(possible), among=ground.known, **more,
                 ),
@@ -290,7 +176,7 @@ class TruncatedPolicy(Policy):
                 tell(SOLVING, 0, None)
                 like = [None] * len(self.regions) if self.like is None else self.like.prepare()
                 self.solved[()] = tuple(
-                    LeafEstimates.of(self.on(region), region, like=start, progress=tell)
+                    LeafEstimates.of(self.problem.on(region), region, like=start, progress=tell)
                     for region, start in zip(self.regions, like, strict=True)
                 )
         return self.solved[()]
@@ -311,7 +197,7 @@ class TruncatedPolicy(Policy):
                 continue
             found = []
             for goal, region in enumerate(self.regions):
-                visits = _visits(self.on(region), robot)
+                visits = _visits(self.problem.on(region), robot)
                 rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
                 problem = visits.at_price(float(robot.price[now]))
                 if now < last:
@@ -333,7 +219,7 @@ class TruncatedPolicy(Policy):
     def unhelped(self) -> OfRows:
         """Estimates of the values of a robot that never helps; they are computed by the first call."""
         if NEVER not in self.solved:
-            problems = [self.on(region).unattended() for region in self.regions]
+            problems = [self.problem.on(region).unattended() for region in self.regions]
             self.solved[NEVER] = tuple(
                 LeafEstimates.of(replace(problem, robot_actions=np.ones_like(problem.robot_actions)), region)
                 for problem, region in zip(problems, self.regions, strict=True)

@@ -39,7 +39,7 @@ from ..people.choices import WAIT, Choices
 from ..people.decision import Floats
 from ..people.goals import Goals, each_of, first_of, joined, optimal_for_each
 from ..people.human import Human
-from ..people.memory_on_demand import Remembering
+from ..people.memory_on_demand import memory_of
 from ..people.ranges import Population
 from ..people.trust_rules import EquationSeven, constant
 from .assumptions import Assumptions
@@ -139,9 +139,7 @@ class TruncatedTask:
         `cut` are the indices of states without known choices. They are the frontier, except where all goals are
         reached.
         """
-        choices = joined(known, each)
-        if isinstance(known, Remembering):
-            choices = known.with_terms(choices, states)
+        choices = memory_of(known).with_terms(joined(known, each), states)
         return cls(known, choices, states, cut[~choices.goal[cut]])
 
     @property

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..person.mdp_values import evaluate
 from ..person.policy import OfRows, Policy
 from .attention import AttentionSwitching
 from .by_policy import ByPolicy
@@ -31,7 +31,7 @@ class AttentionAgainstNever(AttentionSwitching):
     @classmethod
     def of(cls, policies: Sequence[Policy]) -> AttentionAgainstNever:
         """Return the team policy for people with the given policies."""
-        return cls(ByPolicy(policies, without_help))
+        return cls(ByPolicy(policies, attrgetter("unhelped")))
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""
@@ -45,10 +45,3 @@ class AttentionAgainstNever(AttentionSwitching):
     def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         acting = policy.pomdp.hidden.acting(belief)
         return np.einsum("nht,nht->n", self.never[policy](x), acting)[:, None]
-
-
-def without_help(policy: Policy) -> OfRows:
-    """Return the values of never helping a person, as a function of rows."""
-    if policy.unhelped is not None:
-        return policy.unhelped
-    return evaluate(policy.pomdp.unattended(), np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64)).__getitem__

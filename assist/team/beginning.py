@@ -55,7 +55,7 @@ class Beginnings:
         self._beta, self._theta = np.array([[human.beta, human.theta] for human in pool.people]).T
         each = [pool.choices(n) for n in range(len(pool.people))]
         self._finished = np.array([choices.goal[choices.initial] for choices in each])
-        self._initial = np.array([policy.task.initial for policy in pool.policies])
+        self._initial = np.array([policy.problem.task.initial for policy in pool.policies])
         self._goals = [pomdp.hidden.goals for pomdp in self._pomdps]
 
     def of(self, people: Ints, draw: Callable[[int], Floats]) -> Beginning:

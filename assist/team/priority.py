@@ -181,7 +181,7 @@ class Priority:
             Solves people's problems.
         """
         if price is None:
-            price = 0.15 * min(policy.cheapest for policy in policies)
+            price = 0.15 * min(policy.problem.cheapest for policy in policies)
         (entry, mean_steps), longest = travel.mean_way, travel.longest_way
         steps = round(mean_steps)
         each = np.asarray(price, dtype=float)

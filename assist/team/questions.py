@@ -24,7 +24,6 @@ from ..person.qmdp import qmdp
 from ..person.rows_of_people import by_model
 from ..person.settings import Setting
 from ..person.ties import NEAR, first_best
-from .attention_never import without_help
 from .by_policy import ByPolicy
 from .state import worth_of_actions
 
@@ -167,7 +166,7 @@ class Questions:
 
 def benefit(policy: Policy) -> OfRows:
     """Return the benefit of a robot that knows a person's type and theta, as a function of rows."""
-    helped, unhelped = policy.helped, without_help(policy)
+    helped, unhelped = policy.helped, policy.unhelped
     if helped is None:
         helped = qmdp(policy.pomdp).value_mdp.__getitem__
     return lambda x: np.maximum(helped(x) - unhelped(x), 0.0)

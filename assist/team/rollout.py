@@ -165,7 +165,7 @@ class Rollout:
         options : RolloutOptions, optional
         """
         options = options or RolloutOptions()
-        near = options.near * min(policy.cheapest for policy in policies)
+        near = options.near * min(policy.problem.cheapest for policy in policies)
         return cls(Priority.of(policies, travel), near, options, ByPolicy(policies, ModelPeople))
 
     def prepare(self, policy: Policy) -> None:

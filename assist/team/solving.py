@@ -26,7 +26,8 @@ from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import qmdp
 from ..person.settings import Setting
-from ..person.truncated_policy import SharedTask, TruncatedPolicy, default_size
+from ..person.shared_task import SharedTask, default_size
+from ..person.truncated_policy import TruncatedPolicy
 from .affordable import affordable_choices, require_room_for_people
 from .drawn import Drawn
 
@@ -56,7 +57,7 @@ class Solving(TypedDict, total=False):
         goals are enumerated if their policies do not exceed the memory limit.
     region : int or None
         Number of states of a policy's truncated task, for each goal; by default
-        `assist.person.truncated_policy.default_size`, or fewer for many goals, by the memory limit.
+        `assist.person.shared_task.default_size`, or fewer for many goals, by the memory limit.
     time_limit : float or None
         Seconds after which no further POMDP is built, and a `LimitError` says for how many people it was; none by
         default.

@@ -61,7 +61,7 @@ class Whittle:
             The prices are negative or not in ascending order.
         """
         if prices is None:
-            cheapest = min(policy.cheapest for policy in policies)
+            cheapest = min(policy.problem.cheapest for policy in policies)
             prices = [0.0, *(0.05 * cheapest * 2**doublings for doublings in range(7))]
         each = [number("prices", price) for price in prices]
         if not each or min(each) < 0 or (np.diff(each) <= 0).any():

@@ -17,11 +17,11 @@ from crosscheck import EASY
 from graphs import graph_task
 
 from assist.certify import TeamBound, upper_bound
-from assist.certify.each_goal import given_goals
 from assist.certify.relaxed_value import relaxed_value
 from assist.people import Goals, HumanModel, Population
 from assist.people.trust_rules import outcome
 from assist.person import AssistPOMDP, Setting, Solution, qmdp, solve
+from assist.person.each_goal import given_goals
 from assist.person.mdp_values import evaluate
 from assist.person.robots import OfRobots
 from assist.team import Pool, simulate

@@ -24,7 +24,7 @@ from assist.connect.pettingzoo import parallel_env
 from assist.people.choices import Choices
 from assist.people.ranges import Population
 from assist.people.trust_rules import outcome_at_disagreement
-from assist.person import truncated_policy
+from assist.person import shared_task
 from assist.person.robots import Robot
 from assist.person.settings import Setting
 from assist.team.policy_names import POLICIES
@@ -109,7 +109,7 @@ def test_on_rows_that_grow_all_is_seen_as_on_the_whole_task(
         (three_goals("tiny") if options.pop("goals", False) else tiny),
         Setting(c_suggest=0.1, max_steps=25, **options),
     )
-    monkeypatch.setattr(truncated_policy, "ROWS", 30)
+    monkeypatch.setattr(shared_task, "ROWS", 30)
     whole, part = (
         TeamVectorEnv(Pool.sample(task, 3, seed=1, setting=setting, **size), 5, 2)
         for size in ({}, {"states": 1, "region": 10**6})

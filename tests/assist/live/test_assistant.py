@@ -19,7 +19,7 @@ from assist.people.memory import remembered
 from assist.people.ranges import Population
 from assist.people.terms import TERMS
 from assist.people.weighted_choice import Weighted
-from assist.person import person_problem, truncated_policy
+from assist.person import person_problem, shared_task
 from assist.person.assumptions import Assumptions
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
@@ -105,7 +105,7 @@ MANY_MISTAKES = ["(fetch box-a)", WRONG, "(return box-a)", "(fetch box-a)", "(re
 def test_what_is_believed_does_not_depend_on_where_regions_end(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = answers(tiny, MANY_MISTAKES)
     monkeypatch.setattr(person_problem, "WHOLE", 3)
-    monkeypatch.setattr(truncated_policy, "REGION", {"sweep": 3, "on-demand": 2})
+    monkeypatch.setattr(shared_task, "REGION", {"sweep": 3, "on-demand": 2})
     for task in (tiny, OnDemand(tiny.task)):
         parts = answers(task, MANY_MISTAKES)
         assert [row["action"] for row in parts.log()] == [row["action"] for row in whole.log()]
@@ -131,7 +131,7 @@ def test_a_large_task_is_looked_at_where_people_are(tiny: Table, monkeypatch: py
     desks = [Assistant(tiny, names, policy=policy, setting=setting)]
     monkeypatch.setattr(person_problem, "WHOLE", 3)
     for states in (len(tiny), 6):
-        monkeypatch.setattr(truncated_policy, "REGION", {"sweep": states})
+        monkeypatch.setattr(shared_task, "REGION", {"sweep": states})
         desks.append(Assistant(tiny, names, policy=policy, setting=setting))
     whole, every, few = desks
     rng, said = np.random.default_rng(1), dict.fromkeys(desks, 0)

@@ -19,7 +19,8 @@ from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
 from assist.person import QMDP, ObservationModel, Setting, joint_belief, qmdp
 from assist.person.assumptions import Assumptions
-from assist.person.truncated_policy import SharedTask, TruncatedPolicy
+from assist.person.shared_task import SharedTask
+from assist.person.truncated_policy import TruncatedPolicy
 from assist.team.questions import worth_of_knowing
 from planner import Table
 

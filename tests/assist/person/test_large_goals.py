@@ -22,8 +22,9 @@ from assist.person.closed_problem import closed_problem
 from assist.person.mdp_values import evaluate
 from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
 from assist.person.qmdp import QMDP, qmdp
+from assist.person.shared_task import default_size
 from assist.person.solver import solve
-from assist.person.truncated_policy import TruncatedPolicy, default_size
+from assist.person.truncated_policy import TruncatedPolicy
 from assist.team import Pool, simulate
 from planner import LimitError
 

@@ -76,7 +76,7 @@ def test_values_with_terms_are_those_of_the_whole_task(monkeypatch: pytest.Monke
     whole, part = (pool.policies[0] for pool in pools(sealed(), monkeypatch, setting=setting))
     every, compared = whole.pomdp.model.choices, 0
     for _ in range(12):
-        row, place = every.initial, part.task.initial
+        row, place = every.initial, part.problem.task.initial
         for _ in range(15):
             if every.goal[row]:
                 break
@@ -93,7 +93,7 @@ def test_values_with_terms_are_those_of_the_whole_task(monkeypatch: pytest.Monke
             slot = rng.randrange(slots)
             row = int(every.targets[row, slot])
             place = int(part.places(part.pomdp.model.choices.targets[own, slot])[0])
-            assert part.states(np.array([place])).tolist() == [every.task_state(row)]
+            assert part.problem.states(np.array([place])).tolist() == [every.task_state(row)]
     assert compared > 60
 
 

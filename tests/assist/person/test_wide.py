@@ -20,7 +20,7 @@ from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.live import Assistant, live_task
 from assist.people.ranges import Population
-from assist.person import truncated_bound, truncated_policy
+from assist.person import shared_task, truncated_bound, truncated_policy
 from assist.person.frontier_bounds import never_erring
 from assist.person.observation_model import ObservationModel
 from assist.person.pomdp import AssistPOMDP
@@ -95,12 +95,12 @@ def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dic
 
 def test_policies_answer_without_being_solved(tiny: Table) -> None:
     whole, part = Pool.sample(tiny, 2, seed=1).policies[0], Pool.sample(tiny, 2, seed=1, states=0).policies[0]
-    assert (whole.size, part.size) == (len(tiny), np.inf)
-    assert whole.cheapest == part.cheapest == 1
-    assert whole.task.initial == part.task.initial
-    whole.require_enumerated("this", "that is so")
+    assert (whole.problem.size, part.problem.size) == (len(tiny), np.inf)
+    assert whole.problem.cheapest == part.problem.cheapest == 1
+    assert whole.problem.task.initial == part.problem.task.initial
+    whole.problem.require_enumerated("this", "that is so")
     with pytest.raises(ValueError, match="this: expected an enumerated task"):
-        part.require_enumerated("this", "that is so")
+        part.problem.require_enumerated("this", "that is so")
     assert not whole._solved  # type: ignore[attr-defined]
     assert not part.solved  # type: ignore[attr-defined]
     assert "region" not in vars(part)
@@ -134,7 +134,7 @@ def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge
     table, rng = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl")), Random(1)
     whole = Pool.sample(table, 3, seed=1, setting=setting)
     monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 1)
-    monkeypatch.setattr(truncated_policy, "ROWS", 300)
+    monkeypatch.setattr(shared_task, "ROWS", 300)
     part = Pool.sample(table, 3, seed=1, setting=setting, region=EVERYTHING)
     one, other = whole.policies[0], part.policies[0]
     for _ in range(20):
@@ -190,7 +190,7 @@ def test_prices_of_steps_on_rows_are_those_on_the_whole_task(task: str, error: f
 
 @pytest.mark.parametrize("policy", ["none", "reactive", "attention", "priority"])
 def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny: Table, monkeypatch: Any) -> None:
-    monkeypatch.setattr(truncated_policy, "ROWS", 30)
+    monkeypatch.setattr(shared_task, "ROWS", 30)
     setting = Setting(c_suggest=0.1, knowledge="exact", trust="outcome")
     whole, part = (
         Pool.sample(tiny, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
@@ -205,7 +205,7 @@ def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny
 
 def test_suggestions_after_which_choices_were_forgotten_are_heard_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A row may stay while the choices after its suggestions are evicted; people act as on the whole task then, too."""
-    monkeypatch.setattr(truncated_policy, "ROWS", 200)
+    monkeypatch.setattr(shared_task, "ROWS", 200)
     table = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl"))
     whole, part = (Pool.sample(table, 3, seed=1, states=states, region=EVERYTHING) for states in (len(table), 0))
     for policy in ("none", "reactive"):
@@ -214,7 +214,7 @@ def test_suggestions_after_which_choices_were_forgotten_are_heard_again(monkeypa
 
 def test_states_that_are_possible_keep_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beliefs over states are those on the whole task, although rows are evicted between the steps."""
-    monkeypatch.setattr(truncated_policy, "ROWS", 60)
+    monkeypatch.setattr(shared_task, "ROWS", 60)
     table = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl"))
     setting = replace(SIGHT, knowledge="exact")
     whole, part = (
@@ -228,7 +228,7 @@ def test_states_that_are_possible_keep_their_rows(monkeypatch: pytest.MonkeyPatc
 
 def test_whoever_holds_rows_keeps_them(tiny: Table, monkeypatch: Any) -> None:
     """The places and the values of rows that are held stay, whatever else is asked for."""
-    monkeypatch.setattr(truncated_policy, "ROWS", 20)
+    monkeypatch.setattr(shared_task, "ROWS", 20)
     whole, part = (Pool.sample(tiny, 1, seed=1, states=states, region=EVERYTHING).policies[0] for states in (99, 0))
     holders, states = [Thread(), Thread()], [np.array([3, 9]), np.array([12])]
     rows = [part.rows(own, holder) for own, holder in zip(states, holders, strict=True)]
@@ -250,7 +250,7 @@ def test_whoever_holds_rows_keeps_them(tiny: Table, monkeypatch: Any) -> None:
 
 
 def test_threads_do_not_evict_each_others_rows(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(truncated_policy, "ROWS", 25)
+    monkeypatch.setattr(shared_task, "ROWS", 25)
     setting = Setting(c_suggest=0.1, knowledge="exact")
     whole, part = (
         Pool.sample(tiny, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
@@ -261,7 +261,7 @@ def test_threads_do_not_evict_each_others_rows(tiny: Table, monkeypatch: pytest.
 
 def test_a_live_team_keeps_the_rows_of_people_and_decisions(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beliefs, suggestions, what is taken back and later explanations are those of the whole task."""
-    monkeypatch.setattr(truncated_policy, "ROWS", 25)
+    monkeypatch.setattr(shared_task, "ROWS", 25)
     said = list[list[Any]]()
     for whole in (True, False):
         monkeypatch.setattr(live_task, "is_whole", lambda _, whole=whole: whole)

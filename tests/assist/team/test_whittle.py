@@ -97,7 +97,7 @@ def test_prices_that_are_no_grid_are_refused(tiny: Table, prices: list[float]) -
 def test_prices_are_in_units_of_the_cheapest_action_that_is_not_free() -> None:
     roads = [(0, 1, 1), (1, 0, 1), (1, 2, 0), (2, 1, 0), (2, 3, 2), (1, 3, 5)]
     pool = Pool.sample(sweep(graph_task(roads, goal=3, start=0)), 2, seed=1, setting=Setting(knowledge="exact"))
-    assert pool.policies[0].cheapest == 1
+    assert pool.policies[0].problem.cheapest == 1
     returns = {
         name: simulate(pool, name, humans=2, episodes=20, seed=1).discounted_return.mean()
         for name in ("none", "whittle", "priority", "rollout")

@@ -15,7 +15,7 @@ import pytest
 from conftest import KITTING, table_of
 
 from assist import Pool, simulate
-from assist.person.truncated_policy import SharedTask
+from assist.person.shared_task import SharedTask
 from planner import (
     Effect,
     LimitError,

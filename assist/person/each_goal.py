@@ -13,13 +13,36 @@ reached, where a robot that does not see this could only pay for more.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..people.decision import NOTHING
 from ..people.hidden_type import KNOWN
-from ..person.pomdp import AssistPOMDP
+from .pomdp import AssistPOMDP
+
+
+@dataclass(frozen=True)
+class TruncatedProblem:
+    """One person's problem whose upper bounds hold for the whole task.
+
+    Attributes
+    ----------
+    problem : AssistPOMDP
+        Problem with a robot that is always present, on the inner truncated task with hidden beta and theta.
+    outer : OuterRelaxation or None
+        The outer relaxation (`person.truncated_bound`), if it was requested and exists.
+    between : OuterRelaxation or None
+        The same on a smaller truncated task, on which prices are optimised.
+    pairs : int
+        Number of pairs of state and step that are enumerated if attention has a price at each step.
+    """
+
+    problem: AssistPOMDP
+    outer: Any = None
+    between: Any = None
+    pairs: int = 0
 
 
 def given_goals(pomdp: AssistPOMDP) -> list[tuple[float, AssistPOMDP]]:
