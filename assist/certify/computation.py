@@ -23,8 +23,9 @@ from planner.system.threads import on_threads
 from ..people.arguments import positive, require_options, whole
 from ..people.decision import Floats
 from ..person.attention_subproblem import AttentionSubproblem
-from ..person.memory_needed import MEMORY_LIMIT_MB
+from ..person.memory_needed import MEMORY_LIMIT_MB, depth_within
 from ..person.policy import Policy
+from ..person.search import SolverOptions
 from ..person.solver import solve
 from ..person.travel import Travel
 from ..team.pool import Pool
@@ -208,13 +209,15 @@ class Computation:
         def one(number: int) -> None:
             kind = kinds[number]
             visits = kind.at(price)
-            best = kind.best(visits)
+            best, memory = kind.best(visits), self.memory_limit_mb
+            options = None if recorder is None else SolverOptions(
+                depth=depth_within(visits.pomdp, memory), further_beliefs=recorder.of(kind.places, visits)
+            )  # fmt: skip
             still = math.ceil((len(kinds) - number) / self.workers)  # rounds that remain, including this one
             share = (until - time.perf_counter()) / still
             parts[number] = visits, kind.bound(best, lambda best: solve(
                 visits.pomdp, gap=self.gap, time_limit=None if until == math.inf else max(0.0, share),
-                memory_limit_mb=self.memory_limit_mb, best=best,
-                further_beliefs=None if recorder is None else recorder.of(kind.places, visits), bounds=go_on,
+                memory_limit_mb=memory, best=best, options=options, bounds=go_on,
             ))  # fmt: skip
             advance(1)
 

@@ -22,7 +22,7 @@ from planner.system.progress import Progress
 
 from ..people.decision import Floats
 from ..person.attention_subproblem import AttentionSubproblem
-from ..person.each_goal import TruncatedProblem
+from ..person.each_goal import BoundLimits, TruncatedProblem
 from ..person.memory_needed import first_bounds_bytes, policy_bytes, require_room
 from ..person.qmdp import QMDP, look_ahead
 from ..person.solver import Solution
@@ -177,13 +177,12 @@ def kinds_of(
     for done, key in enumerate(members):
         model, entry, _ = key
         tell("setting up people's problems", done, len(members))
-        share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
         room = memory_limit_mb / len(members)
         # The outer relaxations of all kinds are kept in memory, if they are included. An upper bound on a truncated
         # problem is one on that of the whole task (`person.truncated_bound`).
         given = pool.policies[model].bounded(
-            entry, with_outer=with_outer, until=share, memory_limit_mb=room if with_outer else memory_limit_mb,
-            kept_mb=room,
+            entry, with_outer=with_outer,
+            limits=BoundLimits(until, room if with_outer else memory_limit_mb, room).shared(len(members) - done),
         )  # fmt: skip
         parts += [(chance, problem, key) for chance, problem in given]
     _require_room_for_all([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)

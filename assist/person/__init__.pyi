@@ -9,6 +9,7 @@ from .observation_model import ObservationModel as ObservationModel
 from .person_problem import PersonProblem as PersonProblem
 from .policy import Policy as Policy
 from .pomdp import AssistPOMDP as AssistPOMDP
+from .pomdp import Behaviour as Behaviour
 from .qmdp import QMDP as QMDP
 from .qmdp import qmdp as qmdp
 from .robots import OfRobots as OfRobots

@@ -13,7 +13,7 @@ from ..people.human import Human, HumanModel
 from ..people.ranges import Population
 from ..people.trust_rules import EquationSeven, TrustRule, counts_of
 from .leaf_bounds import LeafBounds
-from .pomdp import AssistPOMDP
+from .pomdp import AssistPOMDP, Behaviour
 from .robots import USUAL, OfRobots, Suggestions
 from .settings import Setting
 
@@ -36,8 +36,7 @@ class Assumptions:
     lapse, eta, utility_scale : float
         As in `HumanModel`.
     types : callable
-        What is hidden about the person: a class of `HiddenType`, or a function with its arguments. A class of one's own
-        has further parts.
+        As in `Behaviour`.
     """
 
     population: Population = field(default_factory=Population)
@@ -91,7 +90,7 @@ class Assumptions:
     def problem(self, choices: Choices, frontier: LeafBounds | None = None) -> AssistPOMDP:
         """Return the problem of assisting the person in some states of a task, with bounds where it is truncated."""
         return AssistPOMDP.of(
-            self.model(choices), chooses=self.chooses, grid=self.grid, population=self.population,
-            gamma=self.gamma, robot=self.robot, suggestions=self.suggestions, frontier=frontier, trust=self.trust,
-            types=self.types,
+            self.model(choices), behaviour=Behaviour(self.chooses, self.trust, self.types), grid=self.grid,
+            population=self.population, gamma=self.gamma, robot=self.robot, suggestions=self.suggestions,
+            frontier=frontier,
         )  # fmt: skip

@@ -13,6 +13,8 @@ reached, where a robot that does not see this could only pay for more.
 
 from __future__ import annotations
 
+import math
+import time
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,6 +45,37 @@ class TruncatedProblem:
     outer: Any = None
     between: Any = None
     pairs: int = 0
+
+
+@dataclass(frozen=True)
+class BoundLimits:
+    """What the computation of a person's problem for an upper bound may take.
+
+    Attributes
+    ----------
+    until : float
+        Time on the clock of `time.perf_counter()` after which no state is expanded and no sweep begins.
+    memory_mb : float
+        Memory during the computation, in MB.
+    kept_mb : float
+        Memory of the result, in MB.
+    """
+
+    until: float = math.inf
+    memory_mb: float = math.inf
+    kept_mb: float = math.inf
+
+    @property
+    def left(self) -> float:
+        """The seconds that are left."""
+        return self.until - time.perf_counter()
+
+    def shared(self, number: int) -> BoundLimits:
+        """Return the limits of the next one of so many computations that are still to be done."""
+        return replace(self, until=time.perf_counter() + self.left / number)
+
+
+NO_LIMITS = BoundLimits()
 
 
 def given_goals(pomdp: AssistPOMDP) -> list[tuple[float, AssistPOMDP]]:

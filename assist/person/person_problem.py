@@ -96,9 +96,7 @@ class PersonProblem:
         setting: Setting | None = None,
         population: Population | None = None,
         states: int | None = None,
-        start: int | None = None,
-        sigma: float = 0.0,
-        seed: int | np.random.Generator = 0,
+        misconception: Misconception | None = None,
         time_limit: float | None = None,
         memory_limit_mb: float = np.inf,
         progress: Callable[[int], None] | None = None,
@@ -115,12 +113,8 @@ class PersonProblem:
         states : int, optional
             Largest number of states; by default 20,000 for a table, divided by the number of goals if the task is
             truncated, and 200 if states are solved on demand. An on-demand query takes up to seconds.
-        start : int, optional
-            First state of a truncated task; by default the initial state.
-        sigma : float
-            Standard deviation of a misconception, in cost units, that the robot knows.
-        seed : int or Generator
-            Random seed of the misconception.
+        misconception : Misconception, optional
+            The person's misconception, if the robot knows it.
         time_limit : float, optional
             Seconds for collecting the states of a truncated task.
         memory_limit_mb : float
@@ -135,13 +129,11 @@ class PersonProblem:
             A parameter is out of its range, a truncated task is combined with executed actions, or several goals with
             terms.
         """
-        if not 0 <= sigma < np.inf:
-            raise ValueError(f"sigma {sigma:g}: expected 0 or more")
         setting, states = setting or Setting(), None if states is None else whole("states", states, 1)
         known = known_task(known)
         people, human = population or Population(), None
-        if sigma:
-            human = Human(1.0, 0.5, sigma, Misconception.drawn(sigma, np.random.default_rng(seed)))
+        if misconception is not None:
+            human = Human(1.0, 0.5, misconception.sigma, misconception)
         assumed = Assumptions.of(setting, human, people)
         require_one_goal(known, people.weights)
         if is_whole(known, states):
@@ -150,9 +142,7 @@ class PersonProblem:
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
         task = on_demand(known, people.weights)
-        if start is not None:
-            start = int(memory_of(task).without_memory([start])[0])
-        of = partial(TruncatedTask.of, task, start=start, population=people, human=human, time_limit=time_limit)
+        of = partial(TruncatedTask.of, task, population=people, human=human, time_limit=time_limit)
         problem = closed_problem(region := of(states=states, progress=progress), assumed)
         while (states := states // 2) >= 20:
             needed = first_bounds_bytes(problem, depth_within(problem, memory_limit_mb))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from .each_goal import TruncatedProblem, given_goals
+from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem, given_goals
 from .mdp_values import evaluate
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
@@ -107,12 +107,14 @@ class Policy:
         never = np.zeros(len(self.pomdp.robot_actions), dtype=np.int64)
         return evaluate(self.pomdp.unattended(), never).__getitem__
 
-    def bounded(self, entry: float, **limits: Any) -> list[tuple[float, TruncatedProblem]]:
+    def bounded(
+        self, entry: float, *, with_outer: bool = False, limits: BoundLimits = NO_LIMITS
+    ) -> list[tuple[float, TruncatedProblem]]:
         """Return each possible goal's probability, and the problem given this goal whose upper bound holds for all.
 
         The arguments are those of `person.truncated_bound.bounded`.
         """
-        del entry, limits
+        del entry, with_outer, limits
         return [(chance, TruncatedProblem(problem)) for chance, problem in given_goals(self.pomdp)]
 
 

@@ -37,6 +37,29 @@ from .robots import USUAL, OfRobots, Suggestions
 from .trust_shares import trust_shares
 
 
+@dataclass(frozen=True)
+class Behaviour:
+    """How people choose and trust, and what is hidden about them.
+
+    Attributes
+    ----------
+    chooses : ChoiceModel
+        Model of people's choices, with beta as the person's type; equation 5 by default.
+    trust : TrustRule or None
+        How theta moves; None stands for equation (7) with the rate and the unit of utility of a `HumanModel`.
+    types : callable
+        What is hidden about the person: a class of `HiddenType`, or a function with its arguments. A class of one's own
+        has further parts.
+    """
+
+    chooses: ChoiceModel = boltzmann
+    trust: TrustRule | None = None
+    types: Callable[..., HiddenType] = HiddenType
+
+
+PAPER = Behaviour()
+
+
 @dataclass(frozen=True, kw_only=True)
 class AssistPOMDP:
     """The problem of assisting one person.
@@ -105,23 +128,21 @@ class AssistPOMDP:
         cls,
         model: HumanModel,
         *,
-        chooses: ChoiceModel = boltzmann,
+        behaviour: Behaviour = PAPER,
         grid: Grid | None = None,
         population: Population | None = None,
         gamma: float = 0.99,
         robot: OfRobots = USUAL,
         suggestions: Suggestions = "optimal",
         frontier: LeafBounds | None = None,
-        trust: TrustRule | None = None,
-        types: Callable[..., HiddenType] = HiddenType,
     ) -> AssistPOMDP:
         """Build the problem for a person drawn from a population (by default, the paper's population).
 
         Parameters
         ----------
         model : HumanModel
-        chooses : ChoiceModel
-            Model of people's choices, with beta as the person's type; equation 5 by default.
+        behaviour : Behaviour
+            How people choose and trust; by default as in the paper.
         grid : Grid, optional
             Grid of hidden values; by default, a regular grid over the population's ranges.
         population : Population, optional
@@ -134,10 +155,6 @@ class AssistPOMDP:
         frontier : LeafBounds, optional
             Leaf bounds of a truncated problem. In it, the execution of an action that leads to the frontier has no
             effect.
-        trust : TrustRule, optional
-            How theta moves; by default equation (7) with the model's rate and unit of utility.
-        types : callable
-            What is hidden about the person, as in `Assumptions`.
 
         Raises
         ------
@@ -154,12 +171,12 @@ class AssistPOMDP:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
         robots = RobotActions.of(model.choices, suggestions, robot, None if frontier is None else frontier.states)
-        rule = EquationSeven(model.eta, model.utility_scale) if trust is None else trust
+        rule = EquationSeven(model.eta, model.utility_scale) if behaviour.trust is None else behaviour.trust
         grid = (grid or Grid.regular(population)).with_counts(counts_of(rule))
         goals = model.choices.goals
-        hidden = types(goals.prior, grid.beta, goals.assume_likeliest, goals.sharpness)
-        chosen, unsuggested = _choice_probabilities(model, chooses, hidden, robots.suggested)
-        moves = partial(trust_shares, model, chooses, grid, rule, frontier, robots.suggested)
+        hidden = behaviour.types(goals.prior, grid.beta, goals.assume_likeliest, goals.sharpness)
+        chosen, unsuggested = _choice_probabilities(model, behaviour.chooses, hidden, robots.suggested)
+        moves = partial(trust_shares, model, behaviour.chooses, grid, rule, frontier, robots.suggested)
         low, weight = moves(followed=False)
         followed_low, followed_weight = moves(followed=True) if rule.uses_answer else (None, None)
         return cls(

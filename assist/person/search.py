@@ -39,12 +39,17 @@ class SolverOptions:
     first_sweeps : int
         Number of sweeps that evaluate the two policies whose values only start the lower bound. More sweeps hardly
         raise it where people go next.
+    further_beliefs : int array, shape (m,), and float array, shape (m, H, T), optional
+        Further states, none of them final, and beliefs at which the bounds should be tight. The last has priority in
+        the upper bound's linear program. A third of the time limit is reserved for them. The work on them ends when
+        nothing improves.
     """
 
     depth: int = 500
     finest: float = 1e-6
     backups_per_check: int = 1000
     first_sweeps: int = 20
+    further_beliefs: tuple[NDArray[np.int64], Floats] | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers."""

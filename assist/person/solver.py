@@ -203,7 +203,6 @@ def solve(
     time_limit: float | None = None,
     memory_limit_mb: float = 4000.0,
     best: QMDP | None = None,
-    further_beliefs: tuple[NDArray[np.int64], Floats] | None = None,
     options: SolverOptions | None = None,
     bounds: Callable[[float, float, float], None] | None = None,
     progress: Wanted = None,
@@ -223,10 +222,6 @@ def solve(
         Stop before vectors and beliefs take more memory, in MB.
     best : QMDP, optional
         The QMDP policy, if it is already known.
-    further_beliefs : int array, shape (m,), and float array, shape (m, H, T), optional
-        Further states, none of them final, and beliefs at which the bounds should be tight. The last has priority in
-        the upper bound's linear program. A third of the time limit is reserved for them. The work on them ends when
-        nothing improves.
     options : SolverOptions, optional
     bounds : callable, optional
         Called with the elapsed seconds and both bounds, about every tenth of a second.
@@ -261,7 +256,8 @@ def solve(
     work.tighten()
     observed = work.upper  # of the corners, which are all that the hull contains before the first trial
     # A third of the time is kept for the further beliefs.
-    searching = math.inf if time_limit is None else time_limit * (2 / 3 if further_beliefs is not None else 1)
+    further = options.further_beliefs
+    searching = math.inf if time_limit is None else time_limit * (2 / 3 if further is not None else 1)
 
     def tell(lower: float, upper: float) -> float:
         seconds = time.perf_counter() - start
@@ -271,8 +267,8 @@ def solve(
         return seconds
 
     stopped = work.run(gap, searching, memory_limit_mb, tell)
-    if further_beliefs is not None and len(further_beliefs[0]):
-        widen(work, *further_beliefs, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
+    if further is not None and len(further[0]):
+        widen(work, *further, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
         work.tighten()
     return result_of(
         work, value_qmdp=observed, value_never=never, value_always=always,

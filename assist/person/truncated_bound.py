@@ -56,7 +56,6 @@ for each step (`OuterRelaxation.beyond`).
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -74,7 +73,7 @@ from .attention_subproblem import AttentionSubproblem
 from .backups import bellman_backup
 from .closed_problem import require_no_execution, value_beyond
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
-from .each_goal import TruncatedProblem
+from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem
 from .leaf_bounds import LeafBounds
 from .mdp_values import initial_upper_bounds, value_iteration
 from .memory_needed import first_bounds_bytes, require_room
@@ -192,9 +191,7 @@ def bounded(
     entry: float,
     size: int,
     with_outer: bool = False,
-    until: float = math.inf,
-    memory_limit_mb: float = math.inf,
-    kept_mb: float = math.inf,
+    limits: BoundLimits = NO_LIMITS,
     among: CostToGo | Goals | None = None,
 ) -> TruncatedProblem:
     """Return a person's problem on an inner truncated task, with upper bounds of the whole task at its frontier.
@@ -212,12 +209,7 @@ def bounded(
         Number of states on which policies are solved; the inner truncated task is not larger.
     with_outer : bool
         Whether the outer relaxation is returned as well.
-    until : float
-        Time on the clock of `time.perf_counter()` after which no state is expanded and no sweep begins.
-    memory_limit_mb : float
-        Memory during the computation, in MB.
-    kept_mb : float
-        Memory of the result, in MB.
+    limits : BoundLimits
     among : CostToGo or Goals, optional
         As in `TruncatedTask.of`.
 
@@ -226,23 +218,23 @@ def bounded(
     LimitError
         The computation would exceed the memory limit.
     """
-    in_time = 200 * (until - time.perf_counter())  # pairs: the solver's time grows with their number
+    in_time = 200 * limits.left  # pairs: the solver's time grows with their number
     require_no_execution(assumed)
-    person = _Person(known, assumed, until, memory_limit_mb, known if among is None else among)
-    inner, problem, hidden = person.inner(size, kept_mb)
-    left = (until - time.perf_counter()) / 2  # for the expansion of the outer task; the rest is for its values
+    person = _Person(known, assumed, limits, known if among is None else among)
+    inner, problem, hidden = person.inner(size)
+    left = limits.left / 2  # for the expansion of the outer task; the rest is for its values
     seen = 0 if known.searches else SIZES.seen
     if not (seen > hidden and len(inner.frontier) and left > 0):
         return TruncatedProblem(person.within(inner, problem, None))
     outer, around_it = person.outer(seen, hidden, None if left == math.inf else left)
-    visits, value = _values(around_it, person.complying(outer), entry, until, memory_limit_mb)
+    visits, value = _values(around_it, person.complying(outer), entry, limits)
     found = OuterRelaxation(visits, value, outer.local(inner.states))
     problem = person.within(inner, problem, found)
     if not with_outer or (found.place < 0).any():
         return TruncatedProblem(problem)
     # Half of the memory is for the pairs, at two positions of the robot each. A pair needs about 3.3 stored states,
     # since its successors on the frontier are stored as well.
-    room = 0.5 * kept_mb * 1e6 / (2 * 3.3 * _bytes_of_a_state(problem))
+    room = 0.5 * limits.kept_mb * 1e6 / (2 * 3.3 * _bytes_of_a_state(problem))
     pairs = int(max(SIZES.pairs_least, min(SIZES.pairs, in_time, room)))
     return TruncatedProblem(problem, found, person.between(inner, outer, found, entry), pairs)
 
@@ -253,8 +245,7 @@ class _Person:
 
     known: CostToGo
     assumed: Assumptions
-    until: float
-    memory_limit_mb: float
+    limits: BoundLimits
     among: CostToGo | Goals
 
     def task(self, states: int, time_limit: float | None = None) -> TruncatedTask:
@@ -268,12 +259,12 @@ class _Person:
             time_limit=time_limit,
         )
 
-    def inner(self, size: int, kept_mb: float) -> tuple[TruncatedTask, AssistPOMDP, int]:
+    def inner(self, size: int) -> tuple[TruncatedTask, AssistPOMDP, int]:
         """Return the task on which beta and theta are hidden, its problem, and its requested number of states."""
         hidden = min(size, SIZES.hidden, SIZES.hidden_least)
         inner = self.task(hidden)
         problem = self.seen(inner)
-        more = int(min(size, SIZES.hidden, _affordable(problem, hidden, self.until, kept_mb)))
+        more = int(min(size, SIZES.hidden, _affordable(problem, hidden, self.limits)))
         if more > hidden and len(inner.frontier) and not self.known.searches:
             hidden = more
             inner = self.task(hidden)
@@ -284,7 +275,7 @@ class _Person:
         """Return the task on which beta and theta are observed and its problem, as large as the memory allows."""
         outer = self.task(seen, time_limit)
         problem = self.seen(outer)
-        share = self.memory_limit_mb * 1e6 / _bytes(problem)
+        share = self.limits.memory_mb * 1e6 / _bytes(problem)
         if share < 1:  # half of the share, since smaller tasks have relatively larger frontiers
             few = int(share / 2 * (len(outer.states) - len(outer.frontier)))
             outer = self.task(max(least, few), time_limit)
@@ -333,21 +324,21 @@ class _Person:
         The result is None if the relaxation does not apply: the task is no table, the misconceptions concern actions,
         or there is another choice model than equation 5.
         """
-        known, assumed, human, until = self.known, self.assumed, self.assumed.human, self.until
+        known, assumed, human, limits = self.known, self.assumed, self.assumed.human, self.limits
         by_cost = assumed.chooses is boltzmann and (human is None or mistaken_about_states(human))
         if not (by_cost and isinstance(known, Table)):
             return None
-        left = until - time.perf_counter()
+        left = limits.left
         share = 0.6  # of the time left; the rest is for the values with observed theta
         # Half of the sweeps over many states give looser bounds than all sweeps over few: a bound was -20.3 with
         # 150,000 states in 4 seconds, -21.1 with 600,000 in 17, and -14.2 when these were cut off after 11.
         in_time = 20_000 * share * max(0.0, left)
         bytes_of_a_state = 600  # values and transitions, roughly
-        most = int(min(SIZES.complying, self.memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
+        most = int(min(SIZES.complying, limits.memory_mb * 1e6 / bytes_of_a_state, in_time))
         best_only = assumed.suggestions == "optimal" and self.among is self.known
         found = compliance_bounds(
             known, breadth_first(known, region.states, most), assumed.grid.beta, assumed, optimal=best_only,
-            deadline=until if until == math.inf else until - (1 - share) * left,
+            deadline=math.inf if left == math.inf else limits.until - (1 - share) * left,
         )  # fmt: skip
         return found.at(region.states)
 
@@ -377,29 +368,29 @@ def likely(alone: AssistPOMDP, steps: int, most: int, *, advised: float = 0.3, h
     return kept.reshape(chance.shape)
 
 
-def _affordable(problem: AssistPOMDP, hidden: int, until: float, kept_mb: float) -> float:
+def _affordable(problem: AssistPOMDP, hidden: int, limits: BoundLimits) -> float:
     """Return the number of states on which beta and theta can be hidden, by the time and the memory that are left."""
     states, robots = problem.suggested.shape
     values = 8 * states * problem.prior.size * (robots + 2)  # Q-values of one more robot action, and values
     needed = 2 * (sum(array.nbytes for array in _arrays(problem)) + values)  # two positions of the robot: away and here
-    in_time = 400 * (until - time.perf_counter())  # the solver's time grows with the number of states
-    return min(in_time, 0.3 * kept_mb * 1e6 / needed * hidden)  # the rest of the memory is for the other parts
+    in_time = 400 * limits.left  # the solver's time grows with the number of states
+    return min(in_time, 0.3 * limits.kept_mb * 1e6 / needed * hidden)  # the rest of the memory is for the other parts
 
 
 def _values(
-    problem: AssistPOMDP, comply: Floats | None, entry: float, until: float, memory_limit_mb: float
+    problem: AssistPOMDP, comply: Floats | None, entry: float, limits: BoundLimits
 ) -> tuple[AttentionSubproblem, Floats]:
     """Return upper bounds for a robot that comes and goes and observes beta and theta, shape (m, H, T).
 
     `comply`, shape (n, B), holds the bounds of the compliance relaxation, if there are any.
     """
     what = f"bounding a person's value on {len(problem.robot_actions):,} states takes"
-    require_room(what, _bytes(problem), memory_limit_mb, "a smaller region or a higher limit")
+    require_room(what, _bytes(problem), limits.memory_mb, "a smaller region or a higher limit")
     visits = AttentionSubproblem.of(problem, entry)
     found = initial_upper_bounds(visits.pomdp)
     if comply is not None:
         found = np.minimum(found, comply[visits.layout.x][:, :, None])
-    value_iteration(visits.pomdp, found, tolerance=SIZES.tolerance, max_sweeps=SIZES.sweeps, deadline=until)
+    value_iteration(visits.pomdp, found, tolerance=SIZES.tolerance, max_sweeps=SIZES.sweeps, deadline=limits.until)
     return visits, found
 
 

@@ -14,12 +14,9 @@ policy keeps the values of each. The Q-values are those of all goals together.
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +32,7 @@ from ..people.hidden_type import HiddenType, OfGoals
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
 from .closed_problem import closed_problem
-from .each_goal import TruncatedProblem
+from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem
 from .growing_problem import Backup, GrowingProblem
 from .leaf_estimates import LeafEstimates
 from .memory_needed import require_room
@@ -137,7 +134,7 @@ class TruncatedPolicy(Policy):
         return self.found[id(known)]
 
     def bounded(
-        self, entry: float, *, with_outer: bool = False, until: float = math.inf, kept_mb: float = math.inf, **more: Any
+        self, entry: float, *, with_outer: bool = False, limits: BoundLimits = NO_LIMITS
     ) -> list[tuple[float, TruncatedProblem]]:
         """Return each goal's probability and its problem for an upper bound, computed once.
 
@@ -150,15 +147,12 @@ class TruncatedPolicy(Policy):
         shares = list(prior_of(ground.known).values())
         possible = [number for number, share in enumerate(shares) if share > 0]
         for done, number in enumerate(possible):
-            left = len(possible) - done
-            found.append((
-                shares[number],
-                bounded(
-                    self.problem.task_of(number), self.assumed, entry=entry, size=ground.size, with_outer=with_outer,
-                    until=time.perf_counter() + (until - time.perf_counter()) / left,
-                    kept_mb=kept_mb / len(possible), among=ground.known, **more,
-                ),
-            ))  # fmt: skip
+            share = replace(limits.shared(len(possible) - done), kept_mb=limits.kept_mb / len(possible))
+            problem = bounded(
+                self.problem.task_of(number), self.assumed, entry=entry, size=ground.size, with_outer=with_outer,
+                limits=share, among=ground.known,
+            )  # fmt: skip
+            found.append((shares[number], problem))
         self.bounds[entry, with_outer] = found
         return found
 

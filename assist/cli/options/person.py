@@ -63,7 +63,10 @@ def person_problem(
     time_limit : float, optional
         Seconds for choosing the states of a truncated problem.
     """
+    from numpy.random import default_rng
+
     from ...people.goals import each_of
+    from ...people.misconception import Misconception
     from ...person.person_problem import PersonProblem, is_whole
 
     setting, given = person.setting, person.given
@@ -78,11 +81,13 @@ def person_problem(
     whole, memory_limit = is_whole(known, states), float("inf")
     if not whole and setting.region_states is None:  # a state takes memory for each goal
         states, memory_limit = max(1, states // len(each_of(known))), setting.memory_limit
+    drawn = Misconception.drawn(setting.sigma, default_rng(person.seed))
+    known_to_robot = drawn if setting.sigma else None
     try:
         with nullcontext() if whole else progress_bar("collecting states", states) as advance:
             problem = PersonProblem.of(
-                known, setting=chosen, population=setting.population, states=states, sigma=setting.sigma,
-                seed=person.seed, time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance,
+                known, setting=chosen, population=setting.population, states=states, misconception=known_to_robot,
+                time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance,
             )  # fmt: skip
     except ValueError as error:
         raise click.UsageError(str(error)) from None

@@ -18,10 +18,12 @@ from assist.certify.priced_steps import window_of
 from assist.certify.prices import SubproblemKind, kinds_of
 from assist.people.choices import Choices
 from assist.people.ranges import Population
+from assist.person import each_goal
 from assist.person.attention_subproblem import AttentionSubproblem
+from assist.person.each_goal import BoundLimits, TruncatedProblem
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
-from assist.person.truncated_bound import TruncatedProblem, likely
+from assist.person.truncated_bound import likely
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
 from planner import sweep
@@ -163,24 +165,25 @@ def test_time_and_memory_are_shared_among_kinds(monkeypatch: pytest.MonkeyPatch)
     asked: list[tuple[float, dict[str, Any]]] = []
 
     def policy(number: int) -> SimpleNamespace:
-        def bounded(entry: float, **options: Any) -> list[tuple[float, TruncatedProblem]] | None:
+        def bounded(entry: float, **options: Any) -> list[tuple[float, TruncatedProblem]]:
             asked.append((entry, options))
-            return [(1.0, TruncatedProblem(pool.policies[number].pomdp, pairs=7))] if number else None
+            return [(1.0, TruncatedProblem(pool.policies[number].pomdp, pairs=7 if number else 0))]
 
         return SimpleNamespace(bounded=bounded, pomdp=pool.policies[number].pomdp)
 
     fake: Any = SimpleNamespace(
         model=pool.model, policies=[policy(number) for number in range(3)], setting=pool.setting
     )
-    monkeypatch.setattr(prices, "time", SimpleNamespace(perf_counter=lambda: 100.0))
+    for module in (prices, each_goal):
+        monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: 100.0))
     told: list[tuple[str, int, int]] = []
     for with_outer, limit in ((True, 100.0), (False, 300.0)):
         kinds = kinds_of(
             fake, (0, 1, 2), SETTING.travel(3), 2, with_outer=with_outer, memory_limit_mb=300.0, until=112.0,
             tell=lambda *what: told.append(what),
         )  # fmt: skip
-        options = {"with_outer": with_outer, "memory_limit_mb": limit, "kept_mb": 100.0}
-        assert asked == [(0.02, {"until": until, **options}) for until in (104.0, 106.0, 112.0)]
+        limits = [BoundLimits(until, limit, 100.0) for until in (104.0, 106.0, 112.0)]
+        assert asked == [(0.02, {"with_outer": with_outer, "limits": one}) for one in limits]
         assert [(kind.places, kind.pairs, kind.share) for kind in kinds] == [((0,), 0, 1), ((1,), 7, 1), ((2,), 7, 1)]
         assert told == [("setting up people's problems", done, 3) for done in range(3)]
         asked.clear()

@@ -20,7 +20,7 @@ from assist.certify import TeamBound, upper_bound
 from assist.certify.relaxed_value import relaxed_value
 from assist.people import Goals, HumanModel, Population
 from assist.people.trust_rules import outcome
-from assist.person import AssistPOMDP, Setting, Solution, qmdp, solve
+from assist.person import AssistPOMDP, Setting, Solution, SolverOptions, qmdp, solve
 from assist.person.each_goal import given_goals
 from assist.person.mdp_values import evaluate
 from assist.person.robots import OfRobots
@@ -184,7 +184,7 @@ def test_bounds_at_further_beliefs_count_people_who_have_not_finished() -> None:
     pomdp, plain = problem(ring((0.45, 0.45, 0.1))), solved()
     states = np.flatnonzero(~pomdp.final[0])
     beliefs = np.repeat(pomdp.prior[None], len(states), axis=0)
-    solution = solve(pomdp, gap=1e-5, further_beliefs=(states, beliefs))
+    solution = solve(pomdp, gap=1e-5, options=SolverOptions(further_beliefs=(states, beliefs)))
     assert solution.lower <= solution.upper
     assert solution.lower <= plain.upper + 1e-9
     assert solution.upper >= plain.lower - 1e-9

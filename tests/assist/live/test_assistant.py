@@ -21,7 +21,7 @@ from assist.people.terms import TERMS
 from assist.people.weighted_choice import Weighted
 from assist.person import person_problem, shared_task
 from assist.person.assumptions import Assumptions
-from assist.person.pomdp import AssistPOMDP
+from assist.person.pomdp import AssistPOMDP, Behaviour
 from assist.person.qmdp import qmdp
 from assist.person.rows_of_people import by_model
 from assist.person.settings import Setting
@@ -341,7 +341,11 @@ def test_a_team_is_not_restored_with_people_who_choose_otherwise(tiny: Table) ->
     """Each policy is for its own choice model, and a belief from the other would be wrong."""
     weights = {"ann": {"goals": 3.0}, "bob": {"goals": -3.0}}
     solved = {
-        name: qmdp(AssistPOMDP.of(HumanModel.exact(remembered(tiny, {"goals": TERMS["goals"]})), chooses=Weighted(one)))
+        name: qmdp(
+            AssistPOMDP.of(
+                HumanModel.exact(remembered(tiny, {"goals": TERMS["goals"]})), behaviour=Behaviour(Weighted(one))
+            )
+        )
         for name, one in weights.items()
     }
     desk = Assistant(people=solved)

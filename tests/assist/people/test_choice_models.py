@@ -29,7 +29,7 @@ from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, featu
 from assist.people.user_code import UserCodeError
 from assist.people.weighted_choice import Weighted
 from assist.person.person_problem import PersonProblem
-from assist.person.pomdp import AssistPOMDP
+from assist.person.pomdp import AssistPOMDP, Behaviour
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.settings import Setting
@@ -114,7 +114,7 @@ def test_the_filter_is_that_of_all_histories(tiny: Table) -> None:
     choices = remembered(tiny)
     grid = Grid(np.array([0.0, 1.3]), np.array([0.0, 0.4, 1.0]))
     model = HumanModel.exact(choices, eta=0.15)
-    pomdp = AssistPOMDP.of(model, chooses=Weighted(WEIGHTS), grid=grid, suggestions="all")
+    pomdp = AssistPOMDP.of(model, behaviour=Behaviour(Weighted(WEIGHTS)), grid=grid, suggestions="all")
     prior = np.random.default_rng(2).dirichlet(np.ones(6)).reshape(2, 3)
     q = np.where(plain.applicable, plain.costs + plain.h[plain.targets], np.inf)
     value = perceived_value(plain, q)
@@ -172,7 +172,7 @@ def test_bounds_with_memory_agree_with_another_solver(tiny: Table, tmp_path: Pat
     setting = Setting(gamma=0.95, c_suggest=0.1, c_move=0.0, knowledge="exact")
     grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0]))
     pomdp = AssistPOMDP.of(
-        HumanModel.exact(choices), chooses=Weighted(WEIGHTS), grid=grid, population=population, gamma=0.95,
+        HumanModel.exact(choices), behaviour=Behaviour(Weighted(WEIGHTS)), grid=grid, population=population, gamma=0.95,
         robot=OfRobots(c_suggest=0.1),
     )  # fmt: skip
     pool = Pool(
@@ -279,7 +279,7 @@ def short_sighted(choices: Choices, _: Floats, beta: Floats) -> Floats:
 
 def test_a_model_of_ones_own_is_used_everywhere(tiny: Table) -> None:
     choices, grid = Choices.of(tiny), Grid(np.array([0.5, 2.0]), np.array([0.0, 0.5, 1.0]))
-    pomdp = AssistPOMDP.of(HumanModel.exact(choices), chooses=short_sighted, grid=grid)
+    pomdp = AssistPOMDP.of(HumanModel.exact(choices), behaviour=Behaviour(short_sighted), grid=grid)
     expected = short_sighted(choices, pomdp.model.q, grid.beta)
     expected = np.where(choices.goal[:, None], 0.0, expected)  # who has reached the goal does nothing
     np.testing.assert_array_equal(pomdp.chosen, np.moveaxis(expected, 0, 2))
@@ -292,7 +292,9 @@ def test_a_model_of_ones_own_is_used_everywhere(tiny: Table) -> None:
     alone = simulate(pool, "none", humans=1, episodes=4000, seed=0)
     value = qmdp(
         AssistPOMDP.of(
-            HumanModel.exact(choices, lapse=0.0), chooses=short_sighted, grid=Grid(np.array([2.0]), grid.theta)
+            HumanModel.exact(choices, lapse=0.0),
+            behaviour=Behaviour(short_sighted),
+            grid=Grid(np.array([2.0]), grid.theta),
         )
     )
     never = value.q_mdp[choices.initial, 0, 0, 1]
@@ -314,7 +316,7 @@ def test_what_trust_looks_at_may_be_ones_own(tiny: Table) -> None:
         return boltzmann(choices, q, beta)
 
     blind.value = lambda choices, _: np.zeros(len(choices))  # type: ignore[attr-defined]
-    pomdp = AssistPOMDP.of(HumanModel.exact(choices), chooses=blind)
+    pomdp = AssistPOMDP.of(HumanModel.exact(choices), behaviour=Behaviour(blind))
     thetas = np.arange(len(pomdp.grid.theta))
     moved = pomdp.low + pomdp.weight
     np.testing.assert_allclose(moved, np.broadcast_to(thetas, moved.shape), atol=1e-12)

@@ -40,7 +40,7 @@ from assist.people.trust_rules import (
     rule_of,
 )
 from assist.person.belief_filter import update
-from assist.person.pomdp import AssistPOMDP
+from assist.person.pomdp import AssistPOMDP, Behaviour
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
@@ -115,7 +115,9 @@ def problem(rule: TrustRule | None, *, lapse: float = 0.05) -> AssistPOMDP:
     choices = Choices.of(kit("tiny"))
     model = HumanModel.exact(choices, eta=0.3, lapse=lapse)
     grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.4, 0.6, 1.0]))
-    return AssistPOMDP.of(model, grid=grid, gamma=0.95, robot=OfRobots(c_suggest=0.1), suggestions="all", trust=rule)
+    return AssistPOMDP.of(
+        model, grid=grid, gamma=0.95, robot=OfRobots(c_suggest=0.1), suggestions="all", behaviour=Behaviour(trust=rule)
+    )
 
 
 def test_the_papers_rule_is_what_there_is_without_one() -> None:

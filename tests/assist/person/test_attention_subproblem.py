@@ -20,7 +20,7 @@ from assist.people.trust_rules import outcome
 from assist.person import attention_subproblem
 from assist.person.attention_subproblem import AttentionSubproblem, backwards
 from assist.person.leaf_bounds import LeafBounds
-from assist.person.pomdp import AssistPOMDP
+from assist.person.pomdp import AssistPOMDP, Behaviour
 from assist.person.qmdp import QMDP, qmdp
 from assist.person.robots import OfRobots
 from assist.person.time_expansion import AWAY, HERE
@@ -45,7 +45,9 @@ def problem(drawn: list[tuple[int, int, int]], *, execute: bool = False) -> Assi
     """The problem of a person whose trust depends on what they answer, on a graph."""
     model = HumanModel.exact(Choices.of(sweep(graph_task(drawn))), lapse=0.01)
     robot = OfRobots(c_suggest=0.1, execute=execute)
-    return AssistPOMDP.of(model, grid=GRID, gamma=0.9, robot=robot, suggestions="all", trust=outcome())
+    return AssistPOMDP.of(
+        model, grid=GRID, gamma=0.9, robot=robot, suggestions="all", behaviour=Behaviour(trust=outcome())
+    )
 
 
 def is_as_defined(

@@ -19,6 +19,7 @@ from assist.people.ranges import Population
 from assist.person import AssistPOMDP, qmdp, solve, truncated_bound
 from assist.person.assumptions import Assumptions
 from assist.person.attention_subproblem import AttentionSubproblem
+from assist.person.each_goal import BoundLimits
 from assist.person.frontier_bounds import never_erring
 from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
@@ -208,7 +209,13 @@ def test_what_is_expected_beyond_is_known() -> None:
 
 def test_memory_is_asked_for_beforehand() -> None:
     with pytest.raises(LimitError, match=r"^bounding a person's value on \d+ states takes about \d+ MB"):
-        bounded(kit("tiny"), Assumptions.of(Setting(), somebody(), PRIOR), entry=ENTRY, size=2, memory_limit_mb=0.01)
+        bounded(
+            kit("tiny"),
+            Assumptions.of(Setting(), somebody(), PRIOR),
+            entry=ENTRY,
+            size=2,
+            limits=BoundLimits(memory_mb=0.01),
+        )
 
 
 def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -216,7 +223,12 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
     table, who = kit("paper"), somebody()
     found = [
         bounded(
-            table, Assumptions.of(Setting(), who, PRIOR), entry=ENTRY, size=10, with_outer=True, memory_limit_mb=most
+            table,
+            Assumptions.of(Setting(), who, PRIOR),
+            entry=ENTRY,
+            size=10,
+            with_outer=True,
+            limits=BoundLimits(memory_mb=most),
         ).outer
         for most in (math.inf, 3.0)
     ]
@@ -235,8 +247,8 @@ def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch:
     sizes = replace(truncated_bound.SIZES, hidden=40, hidden_least=5, pairs=300, pairs_least=50)
     monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     looked_at, assumed = [], Assumptions.of(Setting(), somebody(), PRIOR)
-    for limits in ({}, {"kept_mb": 0.1}, {"kept_mb": 4.0}, {"until": 0.0}):
-        found = bounded(kit("paper"), assumed, entry=ENTRY, size=50, with_outer=True, **limits)
+    for limits in (BoundLimits(), BoundLimits(kept_mb=0.1), BoundLimits(kept_mb=4.0), BoundLimits(until=0.0)):
+        found = bounded(kit("paper"), assumed, entry=ENTRY, size=50, with_outer=True, limits=limits)
         looked_at.append([int((~found.problem.ends).sum()), found.pairs])
     everything, short, some, late = looked_at
     assert everything == [40, 300]
@@ -246,15 +258,14 @@ def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch:
 
 def test_without_time_nobody_errs_beyond() -> None:
     """Without time the bounds are those of people who never err, which are always valid."""
-    table, setting = kit("tiny"), Setting()
+    table, assumed = kit("tiny"), Assumptions.of(Setting(), somebody(), PRIOR)
     at_once, in_time = (
-        bounded(table, Assumptions.of(setting, somebody(), PRIOR), entry=ENTRY, size=3, until=until).problem
-        for until in (0.0, math.inf)
+        bounded(table, assumed, entry=ENTRY, size=3, limits=BoundLimits(until)).problem for until in (0.0, math.inf)
     )
     hurried, bound = at_once.frontier, in_time.frontier
     assert hurried is not None
     assert bound is not None
-    anybody = never_erring(at_once.model.choices.h[hurried.states], table.task.costs, setting.gamma)
+    anybody = never_erring(at_once.model.choices.h[hurried.states], table.task.costs, assumed.gamma)
     np.testing.assert_allclose(hurried.upper, np.broadcast_to(anybody[:, None, None], hurried.upper.shape))
     assert (bound.upper <= hurried.upper).all()
     assert (bound.upper < hurried.upper - 0.1).any()

@@ -24,6 +24,7 @@ from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.leaf_bounds import LeafBounds
 from assist.person.mdp_values import evaluate, initial_upper_bounds, value_iteration
 from assist.person.policy_iteration import rounding_error
+from assist.person.pomdp import Behaviour
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
@@ -128,7 +129,7 @@ def random_problem(draw: st.DataObject, gamma: float) -> AssistPOMDP:
     return AssistPOMDP.of(
         model, grid=GRID, gamma=gamma,
         robot=OfRobots(c_suggest=pick(st.sampled_from([0.0, 0.1, 50.0])), execute=execute),
-        suggestions=pick(st.sampled_from(["optimal", "all"])), frontier=frontier, trust=trust,
+        suggestions=pick(st.sampled_from(["optimal", "all"])), frontier=frontier, behaviour=Behaviour(trust=trust),
     )  # fmt: skip
 
 
@@ -182,7 +183,7 @@ def test_both_forms_have_the_same_values(several: bool, rule: TrustRule | None, 
         replace(HumanModel.exact(choices), lapse=lapse),
         gamma=0.99,
         robot=OfRobots(c_suggest=0.3),
-        trust=rule,
+        behaviour=Behaviour(trust=rule),
         suggestions="all",
     )
     robot, rng, found = pomdp.robot_actions - 1, np.random.default_rng(0), []

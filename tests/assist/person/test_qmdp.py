@@ -20,7 +20,7 @@ from assist.people.misconception import perceived_cost_to_go
 from assist.people.ranges import Population
 from assist.people.trust_rules import constant
 from assist.person.alpha_vectors import VectorPolicy
-from assist.person.pomdp import AssistPOMDP
+from assist.person.pomdp import AssistPOMDP, Behaviour
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import QMDP, qmdp
 from assist.person.robots import OfRobots
@@ -164,7 +164,7 @@ def test_kept_solutions_are_those_of_the_solver_and_only_for_equal_problems(tiny
 
     first = values(population=wide)
     assert values(population=high) is first, "the prior does not matter to the values"
-    for other in ({"robot": OfRobots(c_suggest=0.2)}, {"trust": constant()}):
+    for other in ({"robot": OfRobots(c_suggest=0.2)}, {"behaviour": Behaviour(trust=constant())}):
         assert values(population=wide, **other) is not first
     nothing = SolutionCache(limit_mb=0.0)
     assert (nothing.qmdp(make(tiny_choices)).value_mdp == first).all(), "what is not kept is solved again"
@@ -177,7 +177,12 @@ def test_a_suggestion_against_a_dear_action_keeps_its_precision(dear: int) -> No
     model = HumanModel.exact(Choices.of(sweep(graph_task(roads))), lapse=0.0)
     grid = Grid(np.array([0.0]), np.array([0.0, 1.0]))
     pomdp = AssistPOMDP.of(
-        model, grid=grid, gamma=0.9, robot=OfRobots(c_suggest=0.1), suggestions="all", trust=constant()
+        model,
+        grid=grid,
+        gamma=0.9,
+        robot=OfRobots(c_suggest=0.1),
+        suggestions="all",
+        behaviour=Behaviour(trust=constant()),
     )
     found = qmdp(pomdp, tolerance=1e-13).value_mdp[model.choices.initial, 0, 0]
     assert found == pytest.approx(-1.1, rel=1e-14)

@@ -23,7 +23,7 @@ from assist.person.assumptions import Assumptions
 from assist.person.closed_problem import closed_problem
 from assist.person.likely_states import perceived_of_states
 from assist.person.person_problem import PersonProblem
-from assist.person.pomdp import AssistPOMDP
+from assist.person.pomdp import AssistPOMDP, Behaviour
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.settings import Setting
@@ -204,7 +204,7 @@ def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
         assert ours.frontier.lower.shape == (len(part.frontier), 1, len(ours.grid.theta))
     rule = Reliability(2, 0.1, 2)
     ours = closed_problem(part, Assumptions(trust=rule))
-    theirs = AssistPOMDP.of(HumanModel.exact(part.choices), trust=rule)
+    theirs = AssistPOMDP.of(HumanModel.exact(part.choices), behaviour=Behaviour(trust=rule))
     assert ours.grid.shape == theirs.grid.shape == (6, 30)
     assert ours.frontier is not None
     assert ours.frontier.lower.shape == (len(part.frontier), 1, 30)
@@ -302,14 +302,15 @@ def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tin
 
 def test_a_known_misconception_is_the_same_on_a_part(tiny: Table) -> None:
     """The intervals of the part and of the whole task overlap, and become the same as the part grows."""
-    setting = {"sigma": 0.7, "seed": 3, "setting": Setting(gamma=0.9, c_suggest=0.1)}
-    exact = solve(PersonProblem.of(tiny, **setting).pomdp, gap=1e-3)  # type: ignore[arg-type]
+    setting, known = Setting(gamma=0.9, c_suggest=0.1), Misconception.drawn(0.7, np.random.default_rng(3))
+    exact = solve(PersonProblem.of(tiny, setting=setting, misconception=known).pomdp, gap=1e-3)
     for states in (4, 12, 21):
-        found = solve(PersonProblem.of(OnDemand(tiny.task), states=states, **setting).pomdp, gap=1e-3)  # type: ignore[arg-type]
+        problem = PersonProblem.of(OnDemand(tiny.task), setting=setting, misconception=known, states=states)
+        found = solve(problem.pomdp, gap=1e-3)
         assert found.lower <= exact.upper
         assert exact.lower <= found.upper
     assert (found.lower, found.upper) == pytest.approx((exact.lower, exact.upper), abs=1e-6)
-    unknown = solve(PersonProblem.of(tiny, **setting | {"sigma": 0.0}).pomdp, gap=1e-3)  # type: ignore[arg-type]
+    unknown = solve(PersonProblem.of(tiny, setting=setting).pomdp, gap=1e-3)
     assert abs(unknown.lower - exact.lower) > 0.01
 
 

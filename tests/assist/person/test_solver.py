@@ -278,10 +278,11 @@ def test_bounds_are_lower_at_beliefs_that_are_named(tiny_choices: Choices) -> No
     rng = np.random.default_rng(0)
     states = rng.choice(np.flatnonzero(~pomdp.ends), 200)
     beliefs = rng.dirichlet(np.full(pomdp.prior.size, 0.3), 200).reshape(-1, *pomdp.prior.shape)
+    further = SolverOptions(further_beliefs=(states, beliefs))
     before = solve(pomdp, gap=0.5).upper_bound(states, beliefs)
-    after = solve(pomdp, gap=0.5, further_beliefs=(states, beliefs)).upper_bound(states, beliefs)
+    after = solve(pomdp, gap=0.5, options=further).upper_bound(states, beliefs)
     # It ends long before the limit, when no bound improves any more.
-    best = solve(pomdp, gap=1e-3, further_beliefs=(states, beliefs), time_limit=3600)
+    best = solve(pomdp, gap=1e-3, options=further, time_limit=3600)
     below, above = best.value(states, beliefs), best.upper_bound(states, beliefs)
     assert (after <= before + 1e-9).all()
     assert np.count_nonzero(after < before - 1e-3) > 50
