@@ -136,7 +136,7 @@ class _Desk:
         moved = np.zeros(numbers.shape, dtype=bool)
         moved[rows] = ~illegal[rows]
         taken = teams.step(rows, self.decode(np.where(moved, numbers, 0)))
-        return illegal, (taken.robot, taken.slot), taken.reward.sum(axis=1)
+        return illegal, (taken.heard, taken.slot), taken.reward.sum(axis=1)
 
 
 class TeamEnv(gymnasium.Env):

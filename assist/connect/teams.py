@@ -157,7 +157,7 @@ class Teams:
         self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
         self._prior = np.array([policy.pomdp.prior for policy in pool.policies])
         self.people, self.model = np.zeros(shape, dtype=np.int64), self.tasks.model
-        self.x, row, goal, seen = np.zeros((4, *shape), dtype=np.int64)
+        self.x, row, goal, outcomes = np.zeros((4, *shape), dtype=np.int64)
         self.theta, self.finished, self.erred = (
             np.zeros(shape),
             np.zeros(shape, dtype=bool),
@@ -167,7 +167,7 @@ class Teams:
         presence = Schedule.of(places)
         them = PeopleAtWork(
             self.people, AllTeams(CommonRandomNumbers(0, np.arange(teams), places), teams), world == "model", self.x,
-            row, goal, self.theta, seen, self.finished, presence.joins, presence.leaves,
+            row, goal, self.theta, outcomes, self.finished, presence.joins, presence.leaves,
         )  # fmt: skip
         flat = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self._prior.shape[1:])
         known, robots = (
@@ -204,7 +204,7 @@ class Teams:
         """
         began, them = self._beginnings.of(people, draw), self.engine.people
         self.tasks.begin(rows, people, began)
-        self.people[rows], them.goal[rows], them.theta[rows], them.seen[rows] = people, began.goal, began.theta, 0
+        self.people[rows], them.goal[rows], them.theta[rows], them.outcomes[rows] = people, began.goal, began.theta, 0
         self.x[rows], self.finished[rows], self.erred[rows] = began.place, began.finished, False
         if self.belief is not None:
             self.belief[rows] = self._prior[began.model]

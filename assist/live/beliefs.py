@@ -60,7 +60,7 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
         record.earlier = earlier
         return bool(beliefs.erred[k])
     acts = Acts(np.array([row]), np.array([step.robot]), np.array([step.slot]), np.array([False]))
-    policy.problem.hear(acts.x, acts.robot)
+    policy.problem.effects(acts.x, acts.heard)
     with suppress(ImpossibleObservationError):  # in a model without lapses; the action says nothing about the person
         beliefs.update(np.array([k]), acts, PersonModel.of(policy))
     return bool(beliefs.erred[k])

@@ -118,7 +118,7 @@ def update_seen(
     flat = belief.reshape(len(belief), belief.shape[1] * belief.shape[2])
     after = np.empty(flat.shape[1])
     for n, i in enumerate(rows):
-        x, robot, slot = acts.x[n], acts.robot[n], acts.slot[n]
+        x, robot, slot = acts.x[n], acts.heard[n], acts.slot[n]
         erred[i] = False
         if slot < 0:
             continue

@@ -22,23 +22,23 @@ from .problem_arrays import ProblemArrays
 
 def act_readable(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
     """Let the people of some rows, all of one model, act once: the definition in numpy."""
-    x, robot, goal = people.x[rows], people.robot[rows], minds.goal[people.who[rows]]
-    done = m.goal[goal, m.afterstate[x, robot]]
+    x, heard, goal = people.x[rows], people.heard[rows], minds.goal[people.who[rows]]
+    done = m.goal[goal, m.afterstate[x, heard]]
     stay = rows[done]
-    people.x[stay], people.slot[stay] = m.afterstate[x[done], robot[done]], NOTHING
+    people.x[stay], people.slot[stay] = m.afterstate[x[done], heard[done]], NOTHING
     people.cost[stay] = 0.0
-    rows, x, robot, goal = rows[~done], x[~done], robot[~done], goal[~done]
+    rows, x, heard, goal = rows[~done], x[~done], heard[~done], goal[~done]
     if not len(rows):
         return
     theta, who = people.theta[rows], people.who[rows]
-    acting, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
+    acting, suggestion = m.afterstate[x, heard], m.suggested[x, heard]
     counts, slots = m.counts[acting, None], np.arange(m.chosen.shape[1])
     p = np.where(slots < counts, minds.p[who, acting], 0.0)
     slot = drawn_slots(influenced(p, suggestion, theta), counts, minds.lapse, people.uniform[rows, 0])
     y = m.targets[acting, slot]
     people.slot[rows], people.cost[rows] = slot, m.costs[acting, slot]
     advised = np.flatnonzero(suggestion >= 0)
-    _trust(advised, rows, x, robot, slot == suggestion, people, minds, m)
+    _trust(advised, rows, x, heard, slot == suggestion, people, minds, m)
     people.x[rows] = y
 
 
@@ -84,24 +84,24 @@ def drawn_slots(p: Floats, counts: NDArray[np.int64], lapse: float, uniform: Flo
 
 
 def _trust(
-    advised: NDArray[np.int64], rows: NDArray[np.int64], x: NDArray[np.int64], robot: NDArray[np.int64],
+    advised: NDArray[np.int64], rows: NDArray[np.int64], x: NDArray[np.int64], heard: NDArray[np.int64],
     followed: NDArray[np.bool_], people: PeopleArrays, minds: Minds, m: ProblemArrays,
 ) -> None:  # fmt: skip
     """Update theta of the people who got a suggestion, given by their places in `rows`."""
-    rows, x, robot = rows[advised], x[advised], robot[advised]
-    theta, seen = people.theta[rows], people.seen[rows]
+    rows, x, heard = rows[advised], x[advised], heard[advised]
+    theta, outcomes = people.theta[rows], people.outcomes[rows]
     if minds.on_grid:
         each = int(np.argmin(np.append(np.diff(m.theta) > 0, False))) + 1  # thetas repeat for each count of outcomes
-        t = seen * each + np.searchsorted(m.theta[:each], theta)
+        t = outcomes * each + np.searchsorted(m.theta[:each], theta)
         answers = followed[advised]
-        at = x, robot, minds.goal[people.who[rows]], t
+        at = x, heard, minds.goal[people.who[rows]], t
         low = np.where(answers, m.followed_low[at], m.low[at])
         up = np.where(answers, m.followed_weight[at], m.weight[at])
         after = low + (people.uniform[rows, 1] < up)
-        people.theta[rows], people.seen[rows] = m.theta[after], after // each
+        people.theta[rows], people.outcomes[rows] = m.theta[after], after // each
         return
     who = people.who[rows]
-    before, expected = minds.value[who, x], minds.value[who, m.targets[x, m.suggested[x, robot]]]
+    before, expected = minds.value[who, x], minds.value[who, m.targets[x, m.suggested[x, heard]]]
     gain = np.subtract(expected, before, out=np.zeros(len(rows)), where=before != expected)
     if minds.eta != 0.0:
         people.theta[rows] = np.where(gain == 0.0, theta, np.clip(theta + minds.eta * gain, 0.0, 1.0))

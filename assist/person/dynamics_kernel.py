@@ -21,8 +21,8 @@ def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
     while each < len(m.theta) and m.theta[each] > m.theta[each - 1]:
         each += 1
     for i in rows:
-        x, robot, theta = people.x[i], people.robot[i], people.theta[i]
-        acting, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
+        x, heard, theta = people.x[i], people.heard[i], people.theta[i]
+        acting, suggestion = m.afterstate[x, heard], m.suggested[x, heard]
         g = minds.goal[people.who[i]]
         if m.goal[g, acting]:
             people.x[i], people.slot[i], people.cost[i] = acting, -1, 0.0
@@ -38,12 +38,12 @@ def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
         people.slot[i], people.cost[i] = slot, m.costs[acting, slot]
         if suggestion >= 0:
             if minds.on_grid:
-                t = people.seen[i] * each + np.searchsorted(m.theta[:each], theta)
-                low, up = m.low[x, robot, g, t], m.weight[x, robot, g, t]
+                t = people.outcomes[i] * each + np.searchsorted(m.theta[:each], theta)
+                low, up = m.low[x, heard, g, t], m.weight[x, heard, g, t]
                 if slot == suggestion:
-                    low, up = m.followed_low[x, robot, g, t], m.followed_weight[x, robot, g, t]
+                    low, up = m.followed_low[x, heard, g, t], m.followed_weight[x, heard, g, t]
                 after_it = low + (people.uniform[i, 1] < up)
-                people.theta[i], people.seen[i] = m.theta[after_it], after_it // each
+                people.theta[i], people.outcomes[i] = m.theta[after_it], after_it // each
             else:
                 value = minds.value[people.who[i]]
                 before, expected = value[x], value[m.targets[x, suggestion]]

@@ -47,11 +47,11 @@ OF_PLACES = {"h": np.inf, "goal": False, "key": 0}
 OF_CHOICES = {
     "known": False, "applicable": False, "actions": WAIT, "targets": OWN, "costs": 0.0, "best": False,
     "optimal": False, "features": 0.0, "q": np.inf, "robot_actions": 1, "suggested": NOTHING, "afterstate": OWN,
-    "robot_costs": 0.0, "chosen": 0.0, "unsuggested": 0.0, "heard": False, "low": 0, "weight": 0.0, "followed_low": 0,
-    "followed_weight": 0.0,
+    "robot_costs": 0.0, "chosen": 0.0, "unsuggested": 0.0, "effect_known": False, "low": 0, "weight": 0.0,
+    "followed_low": 0, "followed_weight": 0.0,
 }  # fmt: skip
 """What is known where somebody has been; without it a row has no choices. The effects of a robot action on trust, `low`
-and so on, are known if it is `heard`.
+and so on, are known if `effect_known` says so.
 """
 
 TRUST = ("low", "weight", "followed_low", "followed_weight")
@@ -183,7 +183,7 @@ class GrowingProblem(ProblemRows):
                 self._snapshot, self._version = self._taken(), self._rows.version
             return self._snapshot
 
-    def hear(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
+    def effects(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
         """Compute the effects of robot actions on trust in some rows, both of shape (N,), and what their targets need.
 
         The rows are held. What is returned is described in `ProblemRows`.
@@ -191,7 +191,7 @@ class GrowingProblem(ProblemRows):
         said = np.flatnonzero(robot)
         with self._lock:
             then = self._then(x[said])[np.arange(len(said)), robot[said]]
-            silent = ~self._rows["heard"][x[said], robot[said]]
+            silent = ~self._rows["effect_known"][x[said], robot[said]]
             if silent.any():
                 places = self._rows.place_of
                 self._learn(np.unique(places[x[said][silent]]), then=places[then[silent]])
@@ -243,8 +243,8 @@ class GrowingProblem(ProblemRows):
         tables = [f"{what} {name}" for name in self._tables for what in ("q", "count")]
         forgotten = np.setdiff1d(successors, held)
         self._rows.clear([*OF_CHOICES, *tables], forgotten)
-        # What a robot action does is to be heard again where the choices after it are forgotten.
-        self._rows["heard"][held] &= ~np.isin(self._then(held), forgotten)
+        # What a robot action does is to be found out again where the choices after it are forgotten.
+        self._rows["effect_known"][held] &= ~np.isin(self._then(held), forgotten)
 
     def _then(self, rows: Ints) -> Ints:
         """Return the row whose choices decide what each robot action does, shape (N, R); the row itself for nothing.
@@ -301,7 +301,7 @@ class GrowingProblem(ProblemRows):
             if values is not None:
                 rows.put(name, own, values[at])
         rows.put("afterstate", own, afterstate)
-        rows.put("heard", own, (pomdp.suggested[at] == NOTHING) & (executed == NOTHING))
+        rows.put("effect_known", own, (pomdp.suggested[at] == NOTHING) & (executed == NOTHING))
         rows.put("known", own, np.ones(len(own), dtype=bool))
 
     def _put_trust(self, pomdp: AssistPOMDP, row: Ints, inside: Any) -> None:
@@ -309,13 +309,13 @@ class GrowingProblem(ProblemRows):
         slot = np.maximum(pomdp.suggested, pomdp.executed(np.arange(len(row))))
         targets = np.take_along_axis(pomdp.model.choices.targets, np.maximum(slot, 0), axis=1)
         at, robot = np.nonzero((slot != NOTHING) & inside[targets] & inside[:, None])
-        new = ~self._rows["heard"][row[at], robot]
+        new = ~self._rows["effect_known"][row[at], robot]
         at, robot = at[new], robot[new]
         for name in TRUST:
             values = getattr(pomdp, name)
             if values is not None:
                 self._rows[name][row[at], robot] = values[at, robot]
-        self._rows["heard"][row[at], robot] = True
+        self._rows["effect_known"][row[at], robot] = True
 
     def _taken(self) -> Snapshot:
         rows, pomdp = self._rows, self.first

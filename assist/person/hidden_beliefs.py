@@ -76,8 +76,8 @@ class Hidden(Seen):
             return
         super().update(rows[~uncertain], acts.of(np.flatnonzero(~uncertain)), model)
         at, actions = np.flatnonzero(uncertain), model.choices.actions
-        x, robot, slot = acts.x[at], acts.robot[at], acts.slot[at]
-        words = np.take_along_axis(said_in(model.pomdp, x), robot[:, None], axis=1)[:, 0]
+        x, heard, slot = acts.x[at], acts.heard[at], acts.slot[at]
+        words = np.take_along_axis(said_in(model.pomdp, x), heard[:, None], axis=1)[:, 0]
         seen = [Reported(Evidence.of(model.choices, {action: 1.0})) for action in actions[x, slot].tolist()]
         self.update_by(rows[at], words, seen, model)
 

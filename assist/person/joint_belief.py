@@ -108,7 +108,7 @@ class JointBelief:
         spoken = np.zeros(len(x), dtype=np.int64)
         if suggestion >= 0:
             spoken = _last(said_in(policy.pomdp, x) == suggestion)
-            policy.problem.hear(x, spoken)
+            policy.problem.effects(x, spoken)
         choices = policy.pomdp.model.choices
         to, joint, erred = _advance(
             x, self.joint, spoken, evidence, choices.actions, choices.goals.optimal, policy.arrays, works

@@ -20,12 +20,12 @@ class PeopleArrays(NamedTuple):
     ----------
     x : int array, shape (N,)
         Task state.
-    robot : int array, shape (N,)
-        Robot action towards the person; 0 is nothing.
+    heard : int array, shape (N,)
+        The robot action that the person heard; 0 is nothing.
     who : int array, shape (N,)
         Row of `Minds` with the person's choices; it tells their goal, too.
     theta : float array, shape (N,)
-    seen : int array, shape (N,)
+    outcomes : int array, shape (N,)
         Number of outcomes of suggestions that the person has seen, if the trust rule counts them.
     uniform : float array, shape (N, 2)
         Uniform numbers in [0, 1): for the choice, and for the grid point of theta.
@@ -36,22 +36,22 @@ class PeopleArrays(NamedTuple):
     """
 
     x: NDArray[np.int64]
-    robot: NDArray[np.int64]
+    heard: NDArray[np.int64]
     who: NDArray[np.int64]
     theta: Floats
-    seen: NDArray[np.int64]
+    outcomes: NDArray[np.int64]
     uniform: Floats
     slot: NDArray[np.int64]
     cost: Floats
 
     @classmethod
     def of_teams(
-        cls, x: NDArray[np.int64], robot: NDArray[np.int64], who: NDArray[np.int64], theta: Floats,
-        seen: NDArray[np.int64], uniform: Floats,
+        cls, x: NDArray[np.int64], heard: NDArray[np.int64], who: NDArray[np.int64], theta: Floats,
+        outcomes: NDArray[np.int64], uniform: Floats,
     ) -> PeopleArrays:  # fmt: skip
         """Return flat views of teams' arrays, of shape (N, K, ...) in C order, with one person after the other."""
         return cls(
-            x.reshape(-1), robot.reshape(-1), who.reshape(-1), theta.reshape(-1), seen.reshape(-1),
+            x.reshape(-1), heard.reshape(-1), who.reshape(-1), theta.reshape(-1), outcomes.reshape(-1),
             uniform.reshape(-1, 2), np.full(x.size, NOTHING), np.zeros(x.size),
         )  # fmt: skip
 

@@ -31,8 +31,8 @@ class Acts(NamedTuple):
     ----------
     x : int array, shape (m,)
         State before the robot's action.
-    robot : int array, shape (m,)
-        Robot action towards the person, in that state.
+    heard : int array, shape (m,)
+        The robot action that the person heard, in that state; 0 is nothing.
     slot : int array, shape (m,)
         Slot of the person's choice; `NOTHING` if they did not act.
     goes_on : bool array, shape (m,)
@@ -40,13 +40,13 @@ class Acts(NamedTuple):
     """
 
     x: NDArray[np.int64]
-    robot: NDArray[np.int64]
+    heard: NDArray[np.int64]
     slot: NDArray[np.int64]
     goes_on: NDArray[np.bool_]
 
     def of(self, rows: NDArray[np.int64]) -> Acts:
         """Return what some of the people did, given by their numbers."""
-        return Acts(self.x[rows], self.robot[rows], self.slot[rows], self.goes_on[rows])
+        return Acts(self.x[rows], self.heard[rows], self.slot[rows], self.goes_on[rows])
 
 
 class ProblemArrays(NamedTuple):

@@ -136,7 +136,7 @@ class ProblemRows(Protocol):
         """Return the place of each row, shape (N,)."""
         ...
 
-    def hear(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
+    def effects(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
         """Compute what robot actions do to trust in some rows, both of shape (N,), where it is not known yet.
 
         Return the rows, shape (m,), whose choices decide what happens and which are not lasting, after the index of the
@@ -214,7 +214,7 @@ class WholeProblem(ProblemRows):
         """Return the rows."""
         return rows
 
-    def hear(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
+    def effects(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
         """Return no rows: all is known."""
         del x, robot
         return NONE, NONE

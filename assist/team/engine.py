@@ -59,7 +59,7 @@ class PeopleAtWork:
     goal : int array, shape (N, K)
         Number of the goal that each person pursues.
     theta : float array, shape (N, K)
-    seen : int array, shape (N, K)
+    outcomes : int array, shape (N, K)
         Number of outcomes of suggestions that the person has seen.
     finished : bool array, shape (N, K)
     joins, leaves : int arrays, shape (K,)
@@ -73,7 +73,7 @@ class PeopleAtWork:
     row: Ints
     goal: Ints
     theta: Floats
-    seen: Ints
+    outcomes: Ints
     finished: Bools
     joins: Ints
     leaves: Ints
@@ -108,7 +108,7 @@ class StepTaken(NamedTuple):
     sent : Sent
     executes : bool array
         Whether each robot that was sent executed an action.
-    before, robot : int arrays, shape (N, K)
+    before, heard : int arrays, shape (N, K)
         Row of each person before the step, and the robot action that they heard.
     theta : float array, shape (N, K)
         Theta before the step.
@@ -126,7 +126,7 @@ class StepTaken(NamedTuple):
     sent: Sent
     executes: Bools
     before: Ints
-    robot: Ints
+    heard: Ints
     theta: Floats
     slot: Ints
     cost: Floats
@@ -242,21 +242,21 @@ class Engine:
         now, them, policies = self.now, self.people, self.tasks.policies
         sent = self.robots.send(action, np.arange(len(self.clock)) if teams is None else teams, self.clock)
         said, executes, charged = self._say(sent)
-        robot = self.beliefs.heard(
+        heard = self.beliefs.heard(
             said.reshape(-1), them.row.reshape(-1), [(policies[number].pomdp, rows) for number, rows in now.groups]
         ).reshape(said.shape)
         groups = self.tasks.groups
         before, theta, uniform = them.row.copy(), them.theta.copy(), np.empty((*said.shape, 2))
         for kind in (1, 2) if them.on_grid else (1,):
             uniform[now.running, :, kind - 1] = them.draws.draw(kind, now.running)
-        acting = PeopleArrays.of_teams(them.row, robot, self.tasks.who, them.theta, them.seen, uniform)
+        acting = PeopleArrays.of_teams(them.row, heard, self.tasks.who, them.theta, them.outcomes, uniform)
         place, finished = them.place.reshape(-1), them.finished.reshape(-1)
         for number, rows in now.groups:
             group = groups[number]
             group.act(rows, acting)
             finished[rows] = group.ended(rows, acting)
             place[rows] = policies[number].places(acting.x[rows])
-        acts = Acts(before.reshape(-1), acting.robot, acting.slot, ~finished)
+        acts = Acts(before.reshape(-1), acting.heard, acting.slot, ~finished)
         models = [(groups[number].model, rows) for number, rows in now.groups]
         self.beliefs.observe(acts, said.reshape(-1), models, self._uniform)
         saw = let_see(them, self.beliefs, acts, acting.x, models, self._uniform)
@@ -264,7 +264,7 @@ class Engine:
         self.clock[now.running] += 1
         self._now, self._charged = None, np.zeros(said.shape)
         slot = acting.slot.reshape(said.shape)
-        return StepTaken(now, clock, sent, executes, before, robot, theta, slot, cost, -charged - cost, saw)
+        return StepTaken(now, clock, sent, executes, before, heard, theta, slot, cost, -charged - cost, saw)
 
     def _say(self, sent: Sent) -> tuple[Ints, Bools, Floats]:
         """Return the robot action for each person, which robots execute an action, and the costs for each person.

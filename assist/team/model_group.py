@@ -96,7 +96,7 @@ class ModelGroup:
 
     def act(self, rows: Ints, people: PeopleArrays) -> None:
         """Let the people of some rows, all of this model, act once."""
-        at, there = self._problem.hear(people.x[rows], people.robot[rows])
+        at, there = self._problem.effects(people.x[rows], people.heard[rows])
         model, minds, perceived = self._ready(people.who[rows[at]], there)
         if self._rule is None:
             act(rows, people, minds, model.arrays)

@@ -121,7 +121,7 @@ class ModelPeople:
 
     def act(self, rows: Ints, people: PeopleArrays) -> None:
         """Let some people act once."""
-        self._policy.problem.hear(people.x[rows], people.robot[rows])
+        self._policy.problem.effects(people.x[rows], people.heard[rows])
         model, minds = self._so_far()
         act(rows, people, minds, model.arrays)
 
@@ -352,7 +352,7 @@ class _Paths:
     def _step(self, action: TeamAction) -> Floats:
         """Advance all paths by one step; return their advantages."""
         engine, grid = self.engine, self.team.policies[0].pomdp.grid
-        before, seen = self._positions(engine.clock), engine.people.seen.copy()
+        before, outcomes = self._positions(engine.clock), engine.people.outcomes.copy()
         taken = engine.step(action)
         now, sent = self._positions(taken.clock), taken.sent
         by, gained = np.zeros_like(before), np.zeros(len(before))
@@ -362,10 +362,10 @@ class _Paths:
         attended = taken.now.active & (now != AWAY)
         gained += self.rollout.base.price[0] * attended.sum(axis=1)
         # In the position after the robot's way: leave or stay away (0), or stay (1), or make a suggestion (2 and up).
-        move = np.where(now == HERE, 1 + taken.robot, 0)
-        cell = np.searchsorted(grid.values, taken.theta) + seen * len(grid.values)
+        move = np.where(now == HERE, 1 + taken.heard, 0)
+        cell = np.searchsorted(grid.values, taken.theta) + outcomes * len(grid.values)
         after_way, advantage = np.where(now == AWAY, before, now), np.zeros(before.size)
-        each = (before, after_way, move, taken.robot, by, taken.before, engine.tasks.who, cell)
+        each = (before, after_way, move, taken.heard, by, taken.before, engine.tasks.who, cell)
         for group, rows in taken.now.groups:
             was, at, does, robot, its, x, h, t = (array.reshape(-1)[rows] for array in each)
             policy = self.team.policies[group]
@@ -391,7 +391,7 @@ class _Paths:
         now, count, x, mind, position = (
             one.reshape(-1)
             for one in (
-                engine.people.theta, engine.people.seen, engine.people.row, engine.tasks.who,
+                engine.people.theta, engine.people.outcomes, engine.people.row, engine.tasks.who,
                 self._positions(engine.clock),
             )
         )  # fmt: skip

@@ -22,7 +22,7 @@ class Watching(Protocol):
 
     on_grid: bool
     theta: Floats
-    seen: Ints
+    outcomes: Ints
 
 
 class Saw(NamedTuple):
@@ -54,8 +54,8 @@ def let_see(
     draw : callable
         Returns uniform numbers, shape (N * K,), of a kind of `CommonRandomNumbers`.
     """
-    shape, seen = them.theta.shape, beliefs.neighbours
-    shown = seen.told(acts.robot.reshape(shape))
+    shape, neighbours = them.theta.shape, beliefs.neighbours
+    shown = neighbours.told(acts.heard.reshape(shape))
     if not shown.any():
         return Saw()
     gain, told, follows = np.zeros(len(after)), np.zeros(len(after), dtype=bool), np.zeros(len(after), dtype=bool)
@@ -63,10 +63,10 @@ def let_see(
     for model, rows in models:
         at_work.reshape(-1)[rows] = acts.goes_on[rows]
         own = acts.of(rows)
-        suggested = model.pomdp.suggested[own.x, own.robot]
-        heard = shown.reshape(-1)[rows] & (suggested != NOTHING) & (own.slot != NOTHING)
-        told[rows], follows[rows] = heard, own.slot == suggested
-        gain[rows[heard]] = gained(model.policy, own.x[heard], after[rows[heard]])
+        suggested = model.pomdp.suggested[own.x, own.heard]
+        advised = shown.reshape(-1)[rows] & (suggested != NOTHING) & (own.slot != NOTHING)
+        told[rows], follows[rows] = advised, own.slot == suggested
+        gain[rows[advised]] = gained(model.policy, own.x[advised], after[rows[advised]])
     those, saw = np.flatnonzero(told), [Saw()]
     if not len(those):
         return Saw()
@@ -75,14 +75,14 @@ def let_see(
     for model, rows in models:
         grid, there = model.pomdp.grid, np.zeros(shape, dtype=bool)
         there.reshape(-1)[rows] = at_work.reshape(-1)[rows]
-        theta, count = them.theta.reshape(-1), them.seen.reshape(-1)
-        who, moved = seen.moved(theta[:, None], helped, there)
+        theta, count = them.theta.reshape(-1), them.outcomes.reshape(-1)
+        who, moved = neighbours.moved(theta[:, None], helped, there)
         saw.append(Saw(who, theta[who]))
         theta[who] = moved[:, 0]
         if uniform is not None:
             low, up = grid.shares(theta[who], count[who])
             theta[who] = grid.theta[low + (uniform[who] < up)]
-        beliefs.moved(*seen.believed.shares(grid, len(after), helped, there))
+        beliefs.moved(*neighbours.believed.shares(grid, len(after), helped, there))
     return Saw(*(np.concatenate(parts) for parts in zip(*saw, strict=True)))
 
 

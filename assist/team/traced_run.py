@@ -71,7 +71,7 @@ class Tracer:
         location, busy_until = engine.robots.location, engine.robots.busy_until
         for e, k in np.argwhere(taken.now.active).tolist():
             pomdp = tasks.policies[tasks.model[e, k]].pomdp
-            choices, x, r = pomdp.model.choices, int(taken.before[e, k]), int(taken.robot[e, k])
+            choices, x, r = pomdp.model.choices, int(taken.before[e, k]), int(taken.heard[e, k])
             goal, slot, step = int(people.goal[e, k]), int(taken.slot[e, k]), int(taken.clock[e])
             suggested = int(pomdp.suggested[x, r])
             place = int(pomdp.afterstate[x, r])

@@ -44,10 +44,10 @@ class TrustOfPeople:
         arrays : ProblemArrays
             Their problem.
         """
-        before, theta, seen = people.x[rows], people.theta[rows], people.seen[rows]
+        before, theta, outcomes = people.x[rows], people.theta[rows], people.outcomes[rows]
         act(rows, people, minds, arrays)
-        who, robot = people.who[rows], people.robot[rows]
-        suggested, value = arrays.suggested[before, robot], minds.value
+        who, heard = people.who[rows], people.heard[rows]
+        suggested, value = arrays.suggested[before, heard], minds.value
         advised = np.flatnonzero(suggested >= 0)
         who, x, slot = who[advised], before[advised], suggested[advised]
         perceived = PerceivedSuggestions.of(
@@ -55,4 +55,5 @@ class TrustOfPeople:
             value[who, arrays.targets[x, slot]], self.optimal[x, slot, minds.goal[who]],
         )  # fmt: skip
         event = perceived.event(people.slot[rows[advised]] == slot, self.rule.feedback)
-        people.theta[rows[advised]], people.seen[rows[advised]] = moved(self.rule, theta[advised], seen[advised], event)
+        rows = rows[advised]
+        people.theta[rows], people.outcomes[rows] = moved(self.rule, theta[advised], outcomes[advised], event)

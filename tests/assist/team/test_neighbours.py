@@ -353,6 +353,6 @@ def test_people_of_an_environment_see_each_other(tiny: Table, known: bool) -> No
     before, state = teams.theta.copy(), teams.state()
     assert (state.beliefs.neighbours.believed is not NOBODY_SEES) == known
     taken = teams.step(every, state.act(np.zeros(4, dtype=np.int64), state.first_optimal()))
-    suggested = pool.policies[0].pomdp.suggested[taken.before[:, 0], taken.robot[:, 0]]
+    suggested = pool.policies[0].pomdp.suggested[taken.before[:, 0], taken.heard[:, 0]]
     moved = np.where(taken.slot[:, 0] == suggested, 0.03, -0.02)
     np.testing.assert_allclose(teams.theta - before, np.stack([0 * moved, moved, 0 * moved], axis=1), atol=1e-12)

@@ -258,8 +258,8 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
                 goal=np.zeros(1, dtype=np.int64), p=alone[None], value=value[None], eta=model.eta, on_grid=False
             )
             act(np.arange(n), people, minds, modelled.arrays)
-            acts = Acts(np.full(n, x), people.robot, people.slot, np.zeros(n, dtype=bool))
-            known.observe(acts, people.robot, [(modelled, np.arange(n))], lambda _: np.empty(0))
+            acts = Acts(np.full(n, x), people.heard, people.slot, np.zeros(n, dtype=bool))
+            known.observe(acts, people.heard, [(modelled, np.arange(n))], lambda _: np.empty(0))
             place, told = pomdp.afterstate[x, robot], pomdp.suggested[x, robot]
             if tiny_choices.goal[place]:
                 assert (people.x == place).all()
