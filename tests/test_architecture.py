@@ -37,7 +37,7 @@ ROOMS = {
         influence_kernels type_kernels trust_rules neighbours neighbourhood sights theta_reach perceived_suggestions
         action_names signals""",
     "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings robot_actions
-        trust_shares pomdp each_goal assumptions visiting_robot problem_arrays people_arrays rows rounding
+        trust_shares pomdp each_goal assumptions visiting_robot problem_arrays people_arrays random_kinds rows rounding
         action_values krylov sparse_iteration policy_iteration mdp_values problem_rows policy rows_of_people
         lazy_policy archive belief_filter belief_update dynamics_kernel dynamics joint_belief beliefs
         seen_beliefs hidden_beliefs expected_values qmdp solution_cache alpha_vectors upper_hull convex_bound

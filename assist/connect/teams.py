@@ -109,7 +109,7 @@ class TasksOfPool(RowsOfPeople):
     def begin(self, teams: Ints, people: Ints, began: Beginning) -> None:
         """Let people begin in some teams, given by their numbers in the pool, shape (m, K)."""
         self.model[teams] = began.model
-        self.who[teams] = self._first[people] + began.goal if self._of_people else began.mind
+        self.who[teams] = self._first[people] + began.goal if self._of_people else began.type
 
 
 class AllTeams:

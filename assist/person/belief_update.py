@@ -43,15 +43,15 @@ def update_readable(
     """
     erred[rows] = False
     acted = np.flatnonzero(acts.slot != NOTHING)
-    rows, (x, robot, slot, goes_on) = rows[acted], acts.of(acted)
+    rows, (x, heard, slot, goes_on) = rows[acted], acts.of(acted)
     if not len(rows):
         return
-    acting = m.afterstate[x, robot]
+    acting = m.afterstate[x, heard]
     known = belief[rows] if len(belief) else possible[None]
     erred[rows] = mistaken(optimal[acting, slot], known, acting, m)
     if not len(belief):
         return
-    after, y = updated(known, x, robot, slot, m), m.targets[acting, slot]
+    after, y = updated(known, x, heard, slot, m), m.targets[acting, slot]
     on = np.flatnonzero(goes_on & m.goal[:, y].any(axis=0))
     after[on] = without_reached(after[on], y[on], m)
     belief[rows] = after
@@ -62,7 +62,7 @@ def in_order(terms: Floats) -> Floats:
     return np.asarray(np.add.accumulate(terms, axis=-1)[..., -1])
 
 
-def influence(theta: Floats, p: Floats, others: Floats) -> tuple[Floats, Floats]:
+def factors_of(theta: Floats, p: Floats, others: Floats) -> tuple[Floats, Floats]:
     """Return the factors of the suggested choice and of each other (equation 6), as `influence_factors` does."""
     total = theta * p + (1.0 - theta) * others
     any_left = total > 0.0
@@ -99,7 +99,7 @@ def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArray
         return after, mass
     x, robot, slot, suggested, uniform = x[rows], robot[rows], slot[rows], suggested[rows], uniform[rows]
     answers = (slot == suggested)[:, None]
-    factors = influence(m.theta, m.chosen[x, suggested][:, :, None], m.unsuggested[x, robot][:, :, None])
+    factors = factors_of(m.theta, m.chosen[x, suggested][:, :, None], m.unsuggested[x, robot][:, :, None])
     factor = np.where(answers[:, :, None], *factors)
     plain = steady * m.chosen[x, slot]
     joint = cells[rows] * (plain[:, :, None] * factor + uniform[:, None, None])

@@ -22,6 +22,7 @@ from .observation_model import ObservationModel
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import Acts
+from .random_kinds import Kind
 from .seen_beliefs import Seen
 
 Ints = NDArray[np.int64]
@@ -59,7 +60,7 @@ class Hidden(Seen):
 
     def observe(self, acts: Acts, said: Ints, groups: Groups, draw: Callable[[int], Floats]) -> None:
         """Update the beliefs in those who go on, as in `Beliefs`; the robot sees who has reached their goal."""
-        uniform = np.stack([draw(5), draw(6)], axis=1)
+        uniform = np.stack([draw(Kind.MISSED), draw(Kind.TAKEN_FOR)], axis=1)
         for model, people in groups:
             rows = people[(acts.slot[people] >= 0) & acts.goes_on[people]]
             words = np.take_along_axis(said_in(model.pomdp, self.x[rows]), said[rows, None], axis=1)[:, 0]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP
+from ..person.random_kinds import Kind
 from .model_group import World
 from .pool import Pool
 
@@ -23,7 +24,7 @@ class Beginning(NamedTuple):
     ----------
     model : int array
         Index of each person's policy.
-    mind, goal : int arrays
+    type, goal : int arrays
         Number of the type in the robot's model, 0 for people of the pool; and of the goal.
     beta, theta : float arrays
     place : int array
@@ -32,7 +33,7 @@ class Beginning(NamedTuple):
     """
 
     model: Ints
-    mind: Ints
+    type: Ints
     goal: Ints
     beta: Floats
     theta: Floats
@@ -71,11 +72,11 @@ class Beginnings:
         """
         model = self._model[people]
         if self._world == "model":
-            goal, mind, beta, theta = from_the_prior(self._pomdps, model, draw(0))
+            goal, type_, beta, theta = from_the_prior(self._pomdps, model, draw(Kind.TYPE))
         else:
-            goal = drawn_goals(self._goals, model, draw(4))
-            mind, beta, theta = np.zeros_like(model), self._beta[people], self._theta[people]
-        return Beginning(model, mind, goal, beta, theta, self._initial[model], self._finished[people])
+            goal = drawn_goals(self._goals, model, draw(Kind.GOAL))
+            type_, beta, theta = np.zeros_like(model), self._beta[people], self._theta[people]
+        return Beginning(model, type_, goal, beta, theta, self._initial[model], self._finished[people])
 
 
 def from_the_prior(pomdps: Sequence[AssistPOMDP], model: Ints, drawn: Floats) -> tuple[Ints, Ints, Floats, Floats]:
@@ -92,18 +93,18 @@ def from_the_prior(pomdps: Sequence[AssistPOMDP], model: Ints, drawn: Floats) ->
 
     Returns
     -------
-    goal, mind, beta, theta : arrays of the same shape
+    goal, type, beta, theta : arrays of the same shape
         Number of the goal, number of the type, and the expertise and theta.
     """
-    goal, mind = np.zeros((2, *model.shape), dtype=np.int64)
+    goal, type_ = np.zeros((2, *model.shape), dtype=np.int64)
     beta, theta = np.zeros((2, *model.shape))
     for number, pomdp in enumerate(pomdps):
         at, prior = model == number, pomdp.prior.ravel()
         cell = np.searchsorted(np.cumsum(prior), drawn[at], side="right")
         h, t = np.divmod(np.minimum(cell, np.flatnonzero(prior)[-1]), len(pomdp.grid.theta))
-        goal[at], mind[at] = pomdp.hidden.goal_of[h], h
+        goal[at], type_[at] = pomdp.hidden.goal_of[h], h
         beta[at], theta[at] = pomdp.hidden.expertise[h], pomdp.grid.theta[t]
-    return goal, mind, beta, theta
+    return goal, type_, beta, theta
 
 
 def drawn_goals(priors: list[Mapping[str, float]], model: Ints, uniform: Floats) -> Ints:

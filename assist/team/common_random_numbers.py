@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..person.random_kinds import Kind
 
 BLOCK = 64
 """Number of episodes whose random numbers are drawn together; a change of it changes all results for a seed."""
@@ -23,17 +24,13 @@ class CommonRandomNumbers:
     def streams(self, kind: int) -> list[np.random.Generator]:
         """Return the stream of each block for a kind of numbers, made when the first of them is drawn."""
         if kind not in self._streams:
-            keys = [(1, kind, int(block)) for block in self.blocks]
+            keys = [(1, int(kind), int(block)) for block in self.blocks]
             seeds = [np.random.SeedSequence(self.seed, spawn_key=key) for key in keys]
             self._streams[kind] = [np.random.default_rng(one) for one in seeds]
         return self._streams[kind]
 
     def draw(self, kind: int, rows: NDArray[np.int64]) -> Floats:
-        """Return uniform numbers for some episodes.
-
-        Kind 0 is for people's types, 1 for choices, 2 for trust updates, 3 for teams, 4 for goals, 5 for whether an
-        action is missed, 6 for what it is taken for, 7 for answers, and 8 for what is seen of neighbours.
-        """
+        """Return uniform numbers of a `Kind` for some episodes."""
         advances = np.zeros(len(self.drawn), dtype=bool)  # the streams of finished episodes need not
         advances[self.block[rows]] = True
         streams = self.streams(kind)
@@ -43,5 +40,5 @@ class CommonRandomNumbers:
 
     def team(self, pool: int) -> NDArray[np.int64]:
         """Return K distinct numbers of a pool for each episode, shape (N, K)."""
-        order = [stream.permuted(np.tile(np.arange(pool), (BLOCK, 1)), axis=1) for stream in self.streams(3)]
+        order = [stream.permuted(np.tile(np.arange(pool), (BLOCK, 1)), axis=1) for stream in self.streams(Kind.TEAM)]
         return np.stack(order)[self.block, self.row, : self.places]

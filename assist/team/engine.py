@@ -31,6 +31,7 @@ from ..people.decision import NOTHING, Floats
 from ..person.beliefs import Beliefs
 from ..person.people_arrays import PeopleArrays
 from ..person.problem_arrays import Acts
+from ..person.random_kinds import Kind
 from ..person.robots import NOTHING_DONE
 from ..person.rows_of_people import by_model
 from .parts import Draws, Tasks
@@ -88,13 +89,13 @@ class Now(NamedTuple):
         The teams in which a person is at work, or is to come.
     active : bool array, shape (N, K)
         Who is at work.
-    groups : list of pairs of int and int array
-        Index of each policy, with the people at work as indices of the flattened arrays.
+    by_policy : list of pairs of int and int array
+        Index of each policy, with its people at work as indices of the flattened arrays.
     """
 
     running: Ints
     active: Bools
-    groups: list[tuple[int, Ints]]
+    by_policy: list[tuple[int, Ints]]
 
 
 class StepTaken(NamedTuple):
@@ -177,8 +178,8 @@ class Engine:
             active = to_come & (clock >= them.joins)
             flat = np.flatnonzero(active)
             them.row[:] = self.tasks.rows(them.place, flat)
-            groups = by_model(self.tasks.model.reshape(-1), flat, len(self.tasks.policies))
-            self._now = Now(np.flatnonzero(to_come.any(axis=1)), active, groups)
+            by_policy = by_model(self.tasks.model.reshape(-1), flat, len(self.tasks.policies))
+            self._now = Now(np.flatnonzero(to_come.any(axis=1)), active, by_policy)
         return self._now
 
     def changed(self) -> None:
@@ -221,7 +222,7 @@ class Engine:
         asked = questions.of_teams(self.beliefs, now.active, self.tasks.model, len(self.robots.fleet))
         uniform, working = np.ones((N, K)), np.flatnonzero(now.active.any(axis=1))
         if questions.error:
-            uniform[working] = self.people.draws.draw(7, working)
+            uniform[working] = self.people.draws.draw(Kind.ANSWER, working)
         for one in asked:
             yes = one.question.answer(int(self.people.goal[one.team, one.person]), uniform[one.team, one.person])
             policy = self.tasks.policies[self.tasks.model[one.team, one.person]]
@@ -241,23 +242,24 @@ class Engine:
         """
         now, them, policies = self.now, self.people, self.tasks.policies
         sent = self.robots.send(action, np.arange(len(self.clock)) if teams is None else teams, self.clock)
+        # What is said is a robot action in the most probable state, what is heard the same one in the person's own.
         said, executes, charged = self._say(sent)
         heard = self.beliefs.heard(
-            said.reshape(-1), them.row.reshape(-1), [(policies[number].pomdp, rows) for number, rows in now.groups]
+            said.reshape(-1), them.row.reshape(-1), [(policies[number].pomdp, rows) for number, rows in now.by_policy]
         ).reshape(said.shape)
         groups = self.tasks.groups
         before, theta, uniform = them.row.copy(), them.theta.copy(), np.empty((*said.shape, 2))
-        for kind in (1, 2) if them.on_grid else (1,):
-            uniform[now.running, :, kind - 1] = them.draws.draw(kind, now.running)
+        for column, kind in enumerate((Kind.CHOICE, Kind.THETA) if them.on_grid else (Kind.CHOICE,)):
+            uniform[now.running, :, column] = them.draws.draw(kind, now.running)
         acting = PeopleArrays.of_teams(them.row, heard, self.tasks.who, them.theta, them.outcomes, uniform)
         place, finished = them.place.reshape(-1), them.finished.reshape(-1)
-        for number, rows in now.groups:
+        for number, rows in now.by_policy:
             group = groups[number]
             group.act(rows, acting)
             finished[rows] = group.ended(rows, acting)
             place[rows] = policies[number].places(acting.x[rows])
         acts = Acts(before.reshape(-1), acting.heard, acting.slot, ~finished)
-        models = [(groups[number].model, rows) for number, rows in now.groups]
+        models = [(groups[number].model, rows) for number, rows in now.by_policy]
         self.beliefs.observe(acts, said.reshape(-1), models, self._uniform)
         saw = let_see(them, self.beliefs, acts, acting.x, models, self._uniform)
         cost, clock = acting.cost.reshape(said.shape), self.clock.copy()
@@ -269,12 +271,15 @@ class Engine:
     def _say(self, sent: Sent) -> tuple[Ints, Bools, Floats]:
         """Return the robot action for each person, which robots execute an action, and the costs for each person.
 
-        Costs are those of moves, of waiting beside somebody at work, of suggestions and of executions. They are added
-        to those of this step's questions. No two robots go to one person, which `action_check` makes sure of.
+        Costs are those of moves, of waiting beside somebody at work, of suggestions and of executions, in the most
+        probable states. They are added to those of this step's questions. No two robots go to one person, which
+        `action_check` makes sure of.
         """
         policies, groups, fleet = self.tasks.policies, self.tasks.groups, self.robots.fleet
         said, charged, executes = np.zeros_like(self.people.place), self._charged, np.zeros(len(sent.team), dtype=bool)
-        if fleet.extra[:, NOTHING_DONE].any() or not all(policies[n].pomdp.waits_for_free for n, _ in self.now.groups):
+        if fleet.extra[:, NOTHING_DONE].any() or not all(
+            policies[n].pomdp.waits_for_free for n, _ in self.now.by_policy
+        ):
             self._charge_waiting(sent)
         if not len(sent.team):
             return said, executes, charged

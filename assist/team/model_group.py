@@ -86,9 +86,9 @@ class ModelGroup:
             self._model = PersonModel.of(self.policy)
         return self._model
 
-    def mind(self, people: Ints, goal: Ints, mind: Ints) -> Ints:
+    def who(self, people: Ints, goal: Ints, type_: Ints) -> Ints:
         """Return the row of `Minds` of some people, given by their numbers in the pool, with their goals and types."""
-        return self.row[people] + goal if self._of_people else mind
+        return self.row[people] + goal if self._of_people else type_
 
     def ended(self, rows: Ints, people: PeopleArrays) -> NDArray[np.bool_]:
         """Return whether the episode has ended for the people of some rows."""

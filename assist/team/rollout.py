@@ -366,7 +366,7 @@ class _Paths:
         cell = np.searchsorted(grid.values, taken.theta) + outcomes * len(grid.values)
         after_way, advantage = np.where(now == AWAY, before, now), np.zeros(before.size)
         each = (before, after_way, move, taken.heard, by, taken.before, engine.tasks.who, cell)
-        for group, rows in taken.now.groups:
+        for group, rows in taken.now.by_policy:
             was, at, does, robot, its, x, h, t = (array.reshape(-1)[rows] for array in each)
             policy = self.team.policies[group]
             solved = policy.with_robot(self.rollout.base)
@@ -387,7 +387,7 @@ class _Paths:
         engine, grid = self.engine, self.team.policies[0].pomdp.grid
         found, was = np.zeros(engine.people.place.size), engine.people.theta.reshape(-1).copy()
         was[saw.who] = saw.theta
-        groups = engine.now.groups  # which renews the rows
+        groups = engine.now.by_policy  # which renews the rows
         now, count, x, mind, position = (
             one.reshape(-1)
             for one in (

@@ -13,6 +13,7 @@ from ..people.neighbourhood import Helped, seen_value
 from ..person.beliefs import Beliefs, PersonModel
 from ..person.policy import Policy
 from ..person.problem_arrays import Acts
+from ..person.random_kinds import Kind
 
 Ints = NDArray[np.int64]
 
@@ -71,7 +72,7 @@ def let_see(
     if not len(those):
         return Saw()
     helped = Helped(*np.divmod(those, shape[1]), gain[those], follows[those])
-    uniform = draw(8) if them.on_grid else None
+    uniform = draw(Kind.NEIGHBOURS) if them.on_grid else None
     for model, rows in models:
         grid, there = model.pomdp.grid, np.zeros(shape, dtype=bool)
         there.reshape(-1)[rows] = at_work.reshape(-1)[rows]

@@ -37,5 +37,5 @@ class TaskView(RowsOfPeople):
         super().__init__(policies, began.model)
         self.groups, self.who = groups, np.empty_like(began.model)
         for number, flat in by_model(self.model.reshape(-1), np.arange(self.model.size), len(policies)):
-            own = (one.reshape(-1)[flat] for one in (people, began.goal, began.mind))
-            self.who.reshape(-1)[flat] = groups[number].mind(*own)
+            own = (one.reshape(-1)[flat] for one in (people, began.goal, began.type))
+            self.who.reshape(-1)[flat] = groups[number].who(*own)
