@@ -115,7 +115,7 @@ class _Desk:
 
     def encode(self, action: TeamAction) -> NDArray[np.int64]:
         """Return the numbers of team actions as in the action space, shape (N,) for one robot, otherwise (N, M)."""
-        numbers = np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.robot)
+        numbers = np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.action)
         return numbers.reshape(len(numbers), *self.axis)
 
     def step(self, rows: NDArray[np.int64], numbers: NDArray[np.int64]) -> tuple[Any, Any, Any]:

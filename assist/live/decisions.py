@@ -119,7 +119,7 @@ class Decisions:
         team = self._as_policies_see_it(active, step)
         action = self.team_policy()(team)
         check(team, action)
-        chosen = zip(action.person[0].tolist(), action.robot[0].tolist(), strict=True)
+        chosen = zip(action.person[0].tolist(), action.action[0].tolist(), strict=True)
         for number, (k, robot) in enumerate(chosen):
             if k != NOBODY:
                 advice[number] = self._sent(number, k, robot, points[number])

@@ -66,7 +66,7 @@ class Choices:
     unknown_goal : OfGoals, or None
         The arrays of each goal, if a person pursues one of several. Then `h` is the least over the goals, `goal`
         tells whether all are reached, and `optimal` whether a choice is optimal for one that is not reached. None if
-        the goal is known.
+        the goal is known: whoever reads `goals` has one or several in the same form.
     offered : bool array, shape (n, A), or None
         Whether the robot may suggest each choice as an optimal one. None if `optimal` says so: the robot may also
         suggest what is optimal for another goal, if it does not know which one the person pursues.

@@ -154,7 +154,7 @@ class Population:
         for _ in range(count):
             beta, theta, sigma = (float(rng.uniform(*span)) for span in (self.beta, self.theta, self.sigma))
             mistaken = Misconception.drawn(sigma, rng, self.noise)
-            h = mistaken if choices is None or choices.unknown_goal is not None else mistaken.of(choices)
+            h = mistaken if choices is None or choices.goals.distinguished else mistaken.of(choices)
             people.append(Human(beta, theta, sigma, h, self._model(rng)))
         return people
 

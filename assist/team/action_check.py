@@ -26,9 +26,9 @@ def check(team: TeamState, action: TeamAction) -> None:
     wanted = f"two int arrays of shape {shape}, an entry for each robot of each team"
     if not isinstance(action, TeamAction):
         raise refused(
-            f"returned {type(action).__name__}; expected a TeamAction, as team.act(person, robot) gives it: {wanted}"
+            f"returned {type(action).__name__}; expected a TeamAction, as team.act(person, action) gives it: {wanted}"
         )
-    for array in (action.person, action.robot):
+    for array in (action.person, action.action):
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "iu" or array.shape != shape:
             found = f"an array of {array.dtype}, shape {array.shape}" if isinstance(array, np.ndarray) else array
             raise refused(f"chose {found!s:.80}; expected {wanted}")
@@ -36,10 +36,10 @@ def check(team: TeamState, action: TeamAction) -> None:
     if wrong.any():
         raise refused(f"goes to person {action.person[wrong][0]} in a team of {people}")
     goes = np.nonzero(action.person != NOBODY)
-    teams, to, robot, number = goes[0], action.person[goes], action.robot[goes], goes[1]
+    teams, to, said, robot = goes[0], action.person[goes], action.action[goes], goes[1]
     if not team.active[teams, to].all():
         raise refused("goes to a person who has finished or is not there")
-    if (robot[team.travel.steps_between(number, team.location[goes], to) > 0] != 0).any():
+    if (said[team.travel.steps_between(robot, team.location[goes], to) > 0] != 0).any():
         raise refused("speaks to a person before the robot has arrived")
     if not team.free[goes].all():
         raise refused("sends a robot that is under way")
@@ -55,11 +55,11 @@ def check(team: TeamState, action: TeamAction) -> None:
         # Robots may be with one person already, if somebody else has moved them.
         if (team.location[n, there] != place).any() or (action.person[n, there] != NOBODY).sum() > 1:
             raise refused("lets two robots be with one person, or on their way there")
-    for model, rows in by_model(team.model[teams, to], np.flatnonzero(robot != 0), len(team.policies)):
+    for model, rows in by_model(team.model[teams, to], np.flatnonzero(said != 0), len(team.policies)):
         pomdp, x = team.policies[model].pomdp, team.x[teams[rows], to[rows]]
-        if ((robot[rows] < 0) | (robot[rows] >= pomdp.robot_actions[x])).any():
+        if ((said[rows] < 0) | (said[rows] >= pomdp.robot_actions[x])).any():
             raise refused("makes a suggestion that the person's state does not have")
         if team.fleet.executes:
-            unable = np.isinf(team.fleet.extra_of(number[rows], pomdp.suggested[x, robot[rows]] == NOTHING))
+            unable = np.isinf(team.fleet.extra_of(robot[rows], pomdp.suggested[x, said[rows]] == NOTHING))
             if unable.any():
-                raise refused(f"lets robot {number[rows][unable][0] + 1} execute an action, which it cannot")
+                raise refused(f"lets robot {robot[rows][unable][0] + 1} execute an action, which it cannot")

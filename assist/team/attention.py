@@ -49,18 +49,18 @@ class AttentionSwitching:
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return an action for the person with the largest positive score, in every team that has one."""
-        robot, score = self.scores(team)
-        return team.act(assigned(team, score), robot)
+        action, score = self.scores(team)
+        return team.act(assigned(team, score), action)
 
     def scores(self, team: TeamState) -> tuple[NDArray[np.int64], Floats]:
         """Return each robot's action towards each person, and its score, both of shape (N, M, K)."""
         q = team.by_kind(team.q_values())
         each = self.values(team, q)
-        robot = first_best(each)
-        worth = np.take_along_axis(each, robot[..., None], axis=3)[..., 0]  # faster than a maximum over so few entries
+        action = first_best(each)
+        worth = np.take_along_axis(each, action[..., None], axis=3)[..., 0]  # faster than a maximum over so few entries
         # People who are not active score minus infinity. Doing nothing is no reason to move, even if its value exceeds
         # that of never helping again.
-        useful = team.active[:, None] & (robot > 0)
+        useful = team.active[:, None] & (action > 0)
         score = np.subtract(worth, self.reference(team, each), out=np.full(worth.shape, -np.inf), where=useful)
         kind = team.fleet.kinds[1]
-        return robot[:, kind], score[:, kind] - team.to()
+        return action[:, kind], score[:, kind] - team.to()

@@ -43,7 +43,7 @@ class Reactive:
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return an action for a person who has erred, in every team that has one."""
-        robot = np.where(team.erred, team.first_optimal(), 0)
+        action = np.where(team.erred, team.first_optimal(), 0)
         far = team.travel.distance[team.location][..., :-1]
         nearness = 1.0 + float(team.travel.distance.max()) - far  # positive, so that it never pays to be idle
-        return team.act(assigned(team, np.where(robot[:, None] > 0, nearness, -np.inf)), robot)
+        return team.act(assigned(team, np.where(action[:, None] > 0, nearness, -np.inf)), action)

@@ -78,11 +78,11 @@ def _answers(policy: Policy, x: Ints, belief: Floats, actions: int) -> tuple[Flo
     applicable, targets = pomdp.model.choices.applicable[x], pomdp.model.choices.targets[x]
     suggested = pomdp.suggested[x, :actions]
     chance = np.zeros((len(x), actions, applicable.shape[1], 2))
-    for robot in range(1, suggested.shape[1]):
-        heard, slot = np.nonzero(applicable & (suggested[:, robot, None] != NOTHING))
-        p = pomdp.likelihood(x[heard], np.full(len(heard), robot), slot)
-        follows = (slot == suggested[heard, robot]).astype(np.int64)
-        chance[heard, robot, slot, follows] = np.einsum("nht,nht->n", p, belief[heard])
+    for action in range(1, suggested.shape[1]):
+        heard, slot = np.nonzero(applicable & (suggested[:, action, None] != NOTHING))
+        p = pomdp.likelihood(x[heard], np.full(len(heard), action), slot)
+        follows = (slot == suggested[heard, action]).astype(np.int64)
+        chance[heard, action, slot, follows] = np.einsum("nht,nht->n", p, belief[heard])
     gain, (row, slot) = np.zeros(applicable.shape), np.nonzero(applicable & (chance.any(axis=(1, 3))))
     gain[row, slot] = gained(policy, x[row], targets[row, slot])
     return chance, gain

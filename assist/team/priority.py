@@ -32,7 +32,7 @@ from .outlook import outlook
 from .state import BASE, NOBODY, TeamAction, TeamState
 
 
-def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, staying: Floats) -> TeamAction:
+def to_the_best(team: TeamState, action: NDArray[np.int64], going: Floats, staying: Floats) -> TeamAction:
     """Return the action of going where the sum of worths is largest, where it is worth more than staying and than 0.
 
     No two robots go to one person, and none to a person with whom another one stays.
@@ -40,7 +40,7 @@ def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, stayin
     Parameters
     ----------
     team : TeamState
-    robot : int array, shape (N, M, K)
+    action : int array, shape (N, M, K)
         Each robot's action towards each person.
     going : float array, shape (N, M, K)
         Worth of going to each person.
@@ -55,7 +55,7 @@ def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, stayin
     person = assigned(team, worth)
     stays = (staying[there] >= going[own] - NEAR) & (person[there] == team.location[there])
     person[there] = np.where(stays, NOBODY, person[there])
-    return team.act(person, robot)
+    return team.act(person, action)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ class Priority:
         The value of staying has the shape (N, M).
         """
         steps, kind = team.travel.steps_from(team.location), team.fleet.kinds[1]
-        robot = np.zeros(steps.shape, dtype=np.int64)
+        action = np.zeros(steps.shape, dtype=np.int64)
         going, holding = np.full(steps.shape, -np.inf), np.zeros(team.location.shape)
         if steps.max(initial=0) > self.longest:
             raise ValueError(
@@ -218,7 +218,7 @@ class Priority:
                 "expected the team's travel in Priority.of"
             )
         if not team.active.any():
-            return robot, going, holding
+            return action, going, holding
         step = self._step(team)
         price, values = self.price[step], team.of_each(self._asks[step])
         arriving, q = values[:, :, : self.longest], values[:, :, self.longest :]
@@ -230,7 +230,7 @@ class Priority:
             gain[:, :, 2:] += self.beside(team, q.shape[2] - 1)[:, :, 1:]
             extra = team.extra_costs(q.shape[2] - 1)[..., 1:]
             each = gain[:, None, :, 2:] - extra
-            robot = np.where(team.active[:, None], first_best(each) + 1, 0)[:, kind]
+            action = np.where(team.active[:, None], first_best(each) + 1, 0)[:, kind]
             going, lowest = each.max(axis=3)[:, kind], extra.min(axis=3)[:, kind]
         e, _, k = away = np.nonzero(team.active[:, None] & (steps > 0))
         going[away] = arriving[e, k, steps[away] - 1] + price - q[e, k, 0]
@@ -239,7 +239,7 @@ class Priority:
         at = team.location[with_them]
         more = team.fleet.extra[with_them[1], NOTHING_DONE]
         holding[with_them] = np.where(team.active[with_them[0], at], gain[with_them[0], at, 1] - more, 0.0)
-        return robot, going - team.to(), holding
+        return action, going - team.to(), holding
 
     def beside(self, team: TeamState, actions: int) -> Floats:
         """Return what the first R robot actions are worth beside each person, as in `outlook`."""

@@ -91,4 +91,4 @@ class RobotsAtWork:
             self.busy_until[team, robot] = clock[team] + self.travel.steps_between(robot, origin, person)
             self.location[teams] = placed(self.location[teams], action.person)
         cost = self.travel.costs_between(robot, origin, person)
-        return Sent(team, robot, person, action.robot[rows, robot], cost, origin != person)
+        return Sent(team, robot, person, action.action[rows, robot], cost, origin != person)

@@ -184,8 +184,8 @@ class Rollout:
 
     def _alternatives(self, team: TeamState) -> tuple[list[TeamAction], Bools]:
         """Return priority's action and C alternatives, and which alternatives are to be simulated, shape (N, C)."""
-        robot, going, holding = self.base.worth(team)
-        actions = [to_the_best(team, robot, going, holding)]
+        action, going, holding = self.base.worth(team)
+        actions = [to_the_best(team, action, going, holding)]
         N, K = team.x.shape
         person, staying = actions[0].person, holding.clip(0)
         n, m = np.nonzero(person != NOBODY)
@@ -207,7 +207,7 @@ class Rollout:
             wanted, held = going.copy(), holding.copy()
             wanted[each, :, k] = np.where(omits[:, None] == 1, -np.inf, wanted[each, :, k] + above_all)
             held[(omits == 1)[:, None] & (team.location == k[:, None])] = 0.0
-            actions.append(to_the_best(team, robot, wanted, held))
+            actions.append(to_the_best(team, action, wanted, held))
             for other in actions[:-1]:
                 same = [getattr(other, one) == getattr(actions[-1], one) for one in _ACTION]
                 simulated[:, place] &= ~np.concatenate(same, axis=1).all(axis=1)
@@ -241,7 +241,7 @@ class Rollout:
         return np.split(rows, np.flatnonzero(np.diff(paths // at_once)) + 1) if len(rows) else []
 
 
-_ACTION = ("person", "robot")
+_ACTION = ("person", "action")
 
 
 class PathTasks:
@@ -309,8 +309,8 @@ class _Paths:
         self.rollout, self.team, self.samples = rollout, team, samples
         self.pairs, people = len(n), team.x.shape[1]
         rng, own = np.random.default_rng([rollout.options.seed, batch]), rows[n].repeat(samples)
-        person, robot = (np.stack([getattr(one, name) for one in actions])[c, rows[n]] for name in _ACTION)
-        self.first = TeamAction(person.repeat(samples, axis=0), robot.repeat(samples, axis=0))
+        person, said = (np.stack([getattr(one, name) for one in actions])[c, rows[n]] for name in _ACTION)
+        self.first = TeamAction(person.repeat(samples, axis=0), said.repeat(samples, axis=0))
         grid = team.policies[0].pomdp.grid
         assert team.belief is not None
         strata = np.stack([rng.permutation(samples) for _ in range(people)], axis=1)
@@ -367,14 +367,14 @@ class _Paths:
         after_way, advantage = np.where(now == AWAY, before, now), np.zeros(before.size)
         each = (before, after_way, move, taken.heard, by, taken.before, engine.tasks.who, cell)
         for group, rows in taken.now.by_policy:
-            was, at, does, robot, its, x, h, t = (array.reshape(-1)[rows] for array in each)
+            was, at, does, heard, its, x, h, t = (array.reshape(-1)[rows] for array in each)
             policy = self.team.policies[group]
             solved = policy.with_robot(self.rollout.base)
             fleet = self.team.fleet
-            acting = fleet.extra_of(its, policy.pomdp.suggested[x, robot] == NOTHING)
+            acting = fleet.extra_of(its, policy.pomdp.suggested[x, heard] == NOTHING)
             waiting = np.where(does == 1, fleet.extra[its, NOTHING_DONE], 0.0)
             advantage[rows] = solved.advantage(was, at, x, does, h, t)
-            advantage[rows] -= np.where(robot > 0, acting, waiting)
+            advantage[rows] -= np.where(heard > 0, acting, waiting)
         if len(taken.saw.who):
             advantage += policy.pomdp.gamma * self._gained(taken.saw)
         return gained + advantage.reshape(before.shape).sum(axis=1)

@@ -41,12 +41,12 @@ class TeamAction:
     person : int array, shape (N, M)
         The person to whom a robot goes, or `NOBODY`: then it makes no suggestion, and stays, or makes room for a robot
         that comes (`assignment.placed`). A robot that is under way must have `NOBODY`.
-    robot : int array, shape (N, M)
+    action : int array, shape (N, M)
         Robot action in that person's POMDP; 0 makes no suggestion. It must be 0 if the travel takes time.
     """
 
     person: NDArray[np.int64]
-    robot: NDArray[np.int64]
+    action: NDArray[np.int64]
 
 
 def worth_of_actions(policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
@@ -180,11 +180,11 @@ class TeamState:
 
         Of several goals, it is optimal for the most probable one.
         """
-        robot = np.zeros(self.x.size, dtype=np.int64)
+        action = np.zeros(self.x.size, dtype=np.int64)
         for group, rows in self.groups():
             x, share = self.x.ravel()[rows], self._share_of_goals(group, rows)
-            robot[rows] = self.policies[group].pomdp.first_optimal[x, share.argmax(axis=-1)]
-        return robot.reshape(self.x.shape)
+            action[rows] = self.policies[group].pomdp.first_optimal[x, share.argmax(axis=-1)]
+        return action.reshape(self.x.shape)
 
     def cost_to_go(self) -> Floats:
         """Return each person's exact cost-to-go, shape (N, K); 0 for people who are not active.
@@ -255,7 +255,7 @@ class TeamState:
         costs[..., :1] = each[..., NOTHING_DONE]
         return costs
 
-    def act(self, person: ArrayLike, robot: ArrayLike) -> TeamAction:
+    def act(self, person: ArrayLike, action: ArrayLike) -> TeamAction:
         """Return the action of sending each robot to a person.
 
         If the travel takes time, the robot makes no suggestion; it chooses again after its arrival.
@@ -264,15 +264,15 @@ class TeamState:
         ----------
         person : int array, shape (N, M), or (N,) for one robot
             The person to whom each robot goes, or `NOBODY`.
-        robot : int array, shape (N, K), or (N, M, K)
-            The action towards each person, of all robots or of each.
+        action : int array, shape (N, K), or (N, M, K)
+            The robot action towards each person, of all robots or of each.
 
         Raises
         ------
         UserCodeError
             An array has another shape, is not of whole numbers, or a person is not one of the team.
         """
-        person, robot = np.asarray(person), np.asarray(robot)
+        person, action = np.asarray(person), np.asarray(action)
         (N, K), M, there = self.x.shape, self.robots, f", {NOBODY} for a robot that stays"
         if person.shape == (N,) and M == 1:
             person = person[:, None]
@@ -281,15 +281,15 @@ class TeamState:
             raise self.refused(
                 f"person, {_kind(person)}: expected whole numbers, shape {(N, M)}, one for {each}{there}"
             )
-        if robot.shape not in [(N, K), (N, M, K)] or robot.dtype.kind not in "iu":
+        if action.shape not in [(N, K), (N, M, K)] or action.dtype.kind not in "iu":
             raise self.refused(
-                f"robot, {_kind(robot)}: expected whole numbers, shape {(N, K)}, a robot action for each person"
+                f"action, {_kind(action)}: expected whole numbers, shape {(N, K)}, a robot action for each person"
             )
         wrong = (person < NOBODY) | (person >= K)
         if wrong.any():
             raise self.refused(f"person {person[wrong][0]} in a team of {K}: expected 0 to {K - 1}{there}")
         speaks = (person != NOBODY) & (self.travel.steps_between(np.arange(M), self.location, person) == 0)
-        each_robot = robot if robot.ndim > 2 else robot[:, None]
+        each_robot = action if action.ndim > 2 else action[:, None]
         said = each_robot[np.arange(N)[:, None], np.arange(each_robot.shape[1]), person]
         return TeamAction(person, np.where(speaks, said, 0))
 

@@ -48,8 +48,8 @@ class Tracer:
         """Keep the reason of each suggestion for the record of the person who gets it."""
         if self.reasons is None:
             return
-        for row, number in np.argwhere(action.robot > 0).tolist():
-            k, robot, e = int(action.person[row, number]), int(action.robot[row, number]), int(teams[row])
+        for row, number in np.argwhere(action.action > 0).tolist():
+            k, robot, e = int(action.person[row, number]), int(action.action[row, number]), int(teams[row])
             if team.policies[team.model[row, k]].pomdp.suggested[team.x[row, k], robot] != NOTHING:
                 names = [self.names[one] for one in engine.people.number[e].tolist()]
                 reason = self.reasons(

@@ -90,11 +90,11 @@ class Whittle:
         """
         found = [one.worth(team) for one in self.at_prices]
         prices = np.array([one.price[0] for one in self.at_prices])
-        robots = np.stack([robot for robot, _, _ in found], axis=-1)
+        actions = np.stack([action for action, _, _ in found], axis=-1)
         # The worth counts the price from the next step on; a robot that is present also pays for this step.
         going, below = _zero(prices, np.stack([going for _, going, _ in found], axis=-1) - prices)
         staying, _ = _zero(prices, np.stack([holding for _, _, holding in found], axis=-1) - prices)
-        return np.take_along_axis(robots, below[..., None], axis=-1)[..., 0], going, staying
+        return np.take_along_axis(actions, below[..., None], axis=-1)[..., 0], going, staying
 
 
 def _zero(prices: Floats, advantage: Floats) -> tuple[Floats, NDArray[np.int64]]:

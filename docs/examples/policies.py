@@ -7,6 +7,6 @@ from assist.team import TeamAction, TeamState, assigned
 
 def furthest_first(team: TeamState) -> TeamAction:
     """Of those whose last action was a mistake, help the one who is furthest from the goal."""
-    robot = team.first_optimal()
-    far = np.where(team.erred & (robot > 0), team.cost_to_go(), -1.0)
-    return team.act(assigned(team, far[:, None]), robot)
+    action = team.first_optimal()
+    far = np.where(team.erred & (action > 0), team.cost_to_go(), -1.0)
+    return team.act(assigned(team, far[:, None]), action)

@@ -55,7 +55,7 @@ def random_state(pool: Pool, seed: int, robots: int, *, equally_far: bool, trave
 
 def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, robot: np.ndarray) -> None:
     """Check that robots serve people with the largest total worth, shape (N, M, K), and make these robot actions."""
-    person, made, number = action.person, action.robot, np.arange(team.robots)
+    person, made, number = action.person, action.action, np.arange(team.robots)
     steps = team.travel.steps_between(number, team.location, person)
     for n, own in enumerate(worth):
         gains = np.where(own > 0, own, 0.0)
@@ -119,7 +119,7 @@ def test_attention_switching_as_defined(people: Pool, robots: int, never: bool, 
 def test_no_assistance_is_no_action(people: Pool, robots: int) -> None:
     team = random_state(people, 0, robots, equally_far=True)
     action = NoAssistance()(team)
-    for array, none in ((action.person, NOBODY), (action.robot, 0)):
+    for array, none in ((action.person, NOBODY), (action.action, 0)):
         assert (array.shape, array.dtype) == (team.location.shape, np.dtype(np.int64))
         assert (array == none).all()
 

@@ -183,8 +183,8 @@ def test_a_robot_that_may_not_execute_never_does(name: str, travel_time: float) 
 
     def watched(team: TeamState) -> TeamAction:
         action = policy(team)
-        for n, m in np.argwhere(action.robot > 0).tolist():
-            k, r = action.person[n, m], action.robot[n, m]
+        for n, m in np.argwhere(action.action > 0).tolist():
+            k, r = action.person[n, m], action.action[n, m]
             seen[m] += team.policies[team.model[n, k]].pomdp.executes(int(team.x[n, k]), int(r)) is not None
         return action
 
@@ -273,7 +273,7 @@ def test_suggestions_are_made_by_the_robot_for_which_they_cost_least() -> None:
     for name in ("attention", "priority", "whittle"):
         action = pool.policy(name)(team)
         assert action.person.tolist() == [[NOBODY, 0]], name
-        assert action.robot[0, 1] > 0
+        assert action.action[0, 1] > 0
 
 
 @pytest.mark.slow

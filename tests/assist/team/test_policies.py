@@ -28,7 +28,7 @@ from planner import Table, cost_to_go, load
 
 def test_no_assistance_does_nothing(pool: Pool) -> None:
     action = NoAssistance()(state(pool, [pool.choices(0).initial] * 3, erred=[True] * 3))
-    assert (action.person.tolist(), action.robot.tolist()) == ([[NOBODY]], [[0]])
+    assert (action.person.tolist(), action.action.tolist()) == ([[NOBODY]], [[0]])
 
 
 def test_reactive_goes_to_whoever_erred_and_stays_on_ties(pool: Pool) -> None:
@@ -38,7 +38,7 @@ def test_reactive_goes_to_whoever_erred_and_stays_on_ties(pool: Pool) -> None:
     assert reactive(state(pool, start, erred=[True, True, True], location=2)).person.tolist() == [[2]]
     action = reactive(state(pool, start, erred=[True, False, False], location=2))
     assert action.person.tolist() == [[0]]
-    slot = pool.policies[0].pomdp.suggested[start[0], action.robot[0, 0]]
+    slot = pool.policies[0].pomdp.suggested[start[0], action.action[0, 0]]
     assert pool.choices(0).optimal[start[0], slot]
 
 

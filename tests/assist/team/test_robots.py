@@ -98,8 +98,8 @@ def test_with_a_robot_each_everybody_is_always_attended_to(pool: Pool) -> None:
         action = policy(team)
         said = np.zeros_like(team.x)
         n, m = np.nonzero(action.person != NOBODY)
-        said[n, action.person[n, m]] = action.robot[n, m]
-        np.testing.assert_array_equal(said, everybody(team).robot)
+        said[n, action.person[n, m]] = action.action[n, m]
+        np.testing.assert_array_equal(said, everybody(team).action)
         return action
 
     found = simulate(each, checked, humans=3, episodes=50, seed=3)

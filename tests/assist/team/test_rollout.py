@@ -102,7 +102,8 @@ def test_changed_actions_are_better_on_other_sample_paths() -> None:
 
     def compared(team: TeamState) -> TeamAction:
         own, base = policy(team), policy.base(team)
-        rows = np.flatnonzero(((own.person != base.person) | (own.robot != base.robot)).reshape(len(team.x), -1).any(1))
+        differs = (own.person != base.person) | (own.action != base.action)
+        rows = np.flatnonzero(differs.reshape(len(team.x), -1).any(1))
         if len(rows):
             ahead = _Paths(policy, team, rows, [base, own], np.ones((len(rows), 2), dtype=bool), 200, 9).values()
             gains.extend((ahead[1::2] - ahead[::2]).mean(axis=1).tolist())

@@ -353,7 +353,7 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
 
     def watched(team: TeamState) -> TeamAction:
         action = inner(team)
-        decided.append((team.step, int(team.location[0, 0]), int(action.person[0, 0]), int(action.robot[0, 0])))
+        decided.append((team.step, int(team.location[0, 0]), int(action.person[0, 0]), int(action.action[0, 0])))
         return action
 
     watched.uses_belief = getattr(inner, "uses_belief", True)  # type: ignore[attr-defined]
