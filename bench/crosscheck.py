@@ -385,7 +385,7 @@ def compared(
     limited = replace(pool, setting=replace(pool.setting, max_steps=last))
     dearest = max(float(one.pomdp.model.choices.costs.max() + one.pomdp.robot_costs.max()) for one in pool.policies)
     dearest += float(way.c_move.max()) * float(way.distance.max())
-    for episodes in EPISODES if math.isfinite(pool.policies[0].problem.size) else EPISODES_ON_PART:
+    for episodes in EPISODES if pool.policies[0].problem.region is None else EPISODES_ON_PART:
         run = simulate(
             limited, policy, humans=list(case.team), episodes=episodes, seed=case.number + episodes, travel=way,
             presence=Schedule.of(len(case.team), joins=list(case.joins)), world="model", goals=goals,

@@ -24,16 +24,11 @@ from ..people.action_names import Matcher, Words, words_of
 from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.goals import Goals, first_of, require_one_goal, text_of_goals
-from ..people.memory import choices_of
-from ..people.memory_on_demand import on_demand
 from ..people.ranges import Population
 from ..person.assumptions import Assumptions
-from ..person.person_problem import is_whole
+from ..person.person_problem import policy_on
 from ..person.policy import Policy
-from ..person.qmdp import qmdp
 from ..person.settings import Setting
-from ..person.shared_task import SharedTask
-from ..person.truncated_policy import TruncatedPolicy
 
 
 class LiveTask:
@@ -69,7 +64,9 @@ class LiveTask:
         self.task, self.prior = task, prior
         if policy is None:
             require_one_goal(task, prior.weights)
-        self.policy = policy or (task if isinstance(task, Policy) else _policy_for(task, setting, prior))
+        self.policy = policy or (
+            task if isinstance(task, Policy) else policy_on(task, Assumptions.of(setting, None, prior))
+        )
         self.initial = self.policy.problem.task.initial
         require_goal(self.choices.h[self.row(self.initial)])
         self.matcher = Matcher(self.choices.names)
@@ -179,14 +176,6 @@ class LiveTask:
     def _artist(self) -> Artist | None:
         task = _known(self.task)
         return None if isinstance(task, Choices) else Artist(task.task)
-
-
-def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) -> Policy:
-    """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
-    if is_whole(known):
-        choices = choices_of(known, tuple(prior.weights))
-        return qmdp(Assumptions.of(setting, None, prior).problem(choices))
-    return TruncatedPolicy(SharedTask(on_demand(known, prior.weights)), Assumptions.of(setting, None, prior))
 
 
 def _known(task: CostToGo | Goals | Policy) -> CostToGo | Choices:

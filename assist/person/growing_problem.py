@@ -13,7 +13,6 @@ have been asked for, a new row gets its own from the same problem.
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -85,10 +84,10 @@ class GrowingProblem(ProblemRows):
         What the robot assumes of the person.
     """
 
-    complete, lasting, size = False, NONE, math.inf
+    lasting = NONE
 
     def __init__(self, ground: SharedTask, assumed: Assumptions) -> None:
-        self.ground, self.assumed, self._limit = ground, assumed, ground.rows
+        self.ground, self.assumed, self.region, self._limit = ground, assumed, ground.size, ground.rows
         self._rows = Rows(OF_PLACES | OF_CHOICES)
         self._tables = OrderedDict[str, None]()  # the last used last
         self._lock = threading.RLock()

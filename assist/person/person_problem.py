@@ -23,8 +23,12 @@ from ..people.ranges import Population
 from .assumptions import Assumptions
 from .closed_problem import closed_problem
 from .memory_needed import depth_within, first_bounds_bytes
+from .policy import Policy
 from .pomdp import AssistPOMDP
+from .qmdp import qmdp
 from .settings import Setting
+from .shared_task import SharedTask
+from .truncated_policy import TruncatedPolicy
 from .truncated_task import TruncatedTask
 
 if TYPE_CHECKING:
@@ -66,6 +70,21 @@ def is_whole(known: CostToGo | Goals, states: int | None = None) -> TypeGuard[Ta
     """
     first, most = first_of(known), WHOLE if states is None else states
     return isinstance(first, Table) and len(first) <= most and len(known) <= rows_within(most)
+
+
+def policy_on(known: CostToGo | Goals, assumed: Assumptions) -> Policy:
+    """Return a person's policy by QMDP: solved now on all states if they are enumerated, as `is_whole` decides.
+
+    Parameters
+    ----------
+    known : CostToGo or Goals
+    assumed : Assumptions
+        What the robot assumes of the person.
+    """
+    weights = assumed.population.weights
+    if is_whole(known):
+        return qmdp(assumed.problem(choices_of(known, tuple(weights))))
+    return TruncatedPolicy(SharedTask(on_demand(known, weights)), assumed)
 
 
 @dataclass(frozen=True)

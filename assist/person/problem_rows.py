@@ -62,17 +62,16 @@ class ProblemRows(Protocol):
 
     Attributes
     ----------
-    complete : bool
-        Whether all places have rows, of which everything is known.
+    region : int or None
+        None if all places have rows, of which everything is known. Otherwise values are computed on a truncated task
+        of so many states.
     first : AssistPOMDP
-        The problem before anybody has come to another place than the initial one; the whole problem if complete.
+        The problem before anybody has come to another place than the initial one; or the whole problem.
     lasting : int array
         The rows of which everything is known and stays known: all of them, or none.
     task : Choices or CostToGo
         The whole task: the choices in all of its states, or its cost-to-go, that of the first goal if there are
         several.
-    size : float
-        The number of states whose values are kept; infinite if they are not those of the whole task.
     extent : Extent
         The largest numbers that occur anywhere in the task, for arrays of a fixed size.
     searches : bool
@@ -82,14 +81,12 @@ class ProblemRows(Protocol):
         in cost units.
     """
 
-    complete: bool
+    region: int | None
     first: AssistPOMDP
     lasting: Ints
 
     @property
     def task(self) -> Choices | CostToGo: ...  # noqa: D102
-    @property
-    def size(self) -> float: ...  # noqa: D102
     @property
     def extent(self) -> Extent: ...  # noqa: D102
     @property
@@ -153,7 +150,7 @@ class WholeProblem(ProblemRows):
     pomdp : AssistPOMDP
     """
 
-    complete, searches = True, False
+    region, searches = None, False
 
     def __init__(self, pomdp: AssistPOMDP) -> None:
         self.first, self.lasting = pomdp, np.arange(len(pomdp.robot_actions))
@@ -162,11 +159,6 @@ class WholeProblem(ProblemRows):
     def task(self) -> Choices:
         """The choices in all states."""
         return self.first.model.choices
-
-    @property
-    def size(self) -> float:
-        """The number of rows."""
-        return len(self.lasting)
 
     @property
     def extent(self) -> Extent:

@@ -27,7 +27,6 @@ from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from ..person.settings import Setting
 from ..person.travel import Travel
-from ..person.truncated_policy import TruncatedPolicy
 from .drawn import Drawn, Estimated
 from .matching import require_matching
 from .policies import named
@@ -93,8 +92,8 @@ class Pool(Result):
         shown = ", ".join(self.names[:3]) + ", ..." * (len(self.people) > 3)
         own = "everybody" if self.setting.knowledge == "own" else "nobody"
         knows = f"; the robot knows {own}'s misconceptions" if any(one.sigma for one in self.people) else ""
-        cut = [policy.ground.size for policy in self.policies[:1] if isinstance(policy, TruncatedPolicy)]
-        parts = f"; their problems are truncated to {cut[0]:,} states" if cut else ""
+        region = self.policies[0].problem.region
+        parts = "" if region is None else f"; their problems are truncated to {region:,} states"
         return f"<Pool of {len(self.people)} people: {shown}{knows}{parts}>"
 
     @property

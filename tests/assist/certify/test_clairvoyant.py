@@ -48,7 +48,7 @@ def made(
     """Return the relaxation of two people; with several robots, of three, two of whom are alike."""
     pool = pool or pool_of(*COSTS[0])
     lattices = []
-    with_outer = pool.policies[0].problem.size == np.inf
+    with_outer = pool.policies[0].problem.region is not None
     for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), with_outer=with_outer):
         visits = kind.at(price)
         lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))

@@ -114,7 +114,7 @@ def test_on_rows_that_grow_all_is_seen_as_on_the_whole_task(
         TeamVectorEnv(Pool.sample(task, 3, seed=1, setting=setting, **size), 5, 2)
         for size in ({}, {"states": 1, "region": 10**6})
     )
-    assert not part.pool.policies[0].problem.complete
+    assert part.pool.policies[0].problem.region is not None
     assert part.observation_space == whole.observation_space
     assert part.action_space == whole.action_space
     rng, helped = np.random.default_rng(3), 0

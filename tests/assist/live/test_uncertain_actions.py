@@ -14,10 +14,10 @@ from test_unreliable_observations import by_enumeration, problem
 
 from assist.declare import InapplicableError, Refusal
 from assist.learning.log import Log
-from assist.live import Assistant, Session, live_task
+from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
-from assist.person import QMDP, ObservationModel, Setting, joint_belief, qmdp
+from assist.person import QMDP, ObservationModel, Setting, joint_belief, person_problem, qmdp
 from assist.person.assumptions import Assumptions
 from assist.person.shared_task import SharedTask
 from assist.person.truncated_policy import TruncatedPolicy
@@ -235,13 +235,13 @@ def test_what_an_answer_is_worth_does_not_depend_on_the_size_of_the_task(
 ) -> None:
     worth = list[float]()
     for size in (True, False):
-        monkeypatch.setattr(live_task, "is_whole", lambda _, size=size: size)
+        monkeypatch.setattr(person_problem, "is_whole", lambda _, size=size: size)
         team = Assistant(tiny, ["ann"], setting=NOISY)
         other = team.person("ann").applicable[-1]
         team.observe("ann", likelihoods={FETCH: 0.8, other: 0.2})
         record = team.roster.by_name["ann"]
         assert record.joint is not None
-        assert record.problem.policy.problem.complete == size
+        assert (record.problem.policy.problem.region is None) == size
         worth.append(worth_of_knowing(record.problem.policy, record.joint))
     assert worth[1] == pytest.approx(worth[0], abs=1e-9)
     assert 0 < worth[0] < 10

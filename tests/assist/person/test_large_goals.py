@@ -12,11 +12,10 @@ from test_unknown_goals import three_goals
 
 from assist.certify import upper_bound
 from assist.live import Assistant, TraceReasons
-from assist.live import live_task as live
 from assist.people import Goals, Human, HumanModel
 from assist.people.misconception import Misconception
 from assist.people.ranges import Population
-from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, TruncatedTask
+from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, TruncatedTask, person_problem
 from assist.person.assumptions import Assumptions
 from assist.person.closed_problem import closed_problem
 from assist.person.mdp_values import evaluate
@@ -142,7 +141,7 @@ def test_a_live_robot_infers_goals_of_a_large_task(monkeypatch: pytest.MonkeyPat
     setting = Setting(c_suggest=0.05, c_move=0.0)
     for whole in (True, False):
         if not whole:
-            monkeypatch.setattr(live, "is_whole", lambda _: False)
+            monkeypatch.setattr(person_problem, "is_whole", lambda _: False)
         desk = Assistant(goals, ["ann"], setting=setting)
         found: list[Any] = []
         for action in ("(fetch box-a)", "(place hammer slot-2 box-a)", "(return box-a)"):
@@ -255,7 +254,7 @@ def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.Monk
 def test_a_live_robot_asks_about_goals_of_a_large_task(monkeypatch: pytest.MonkeyPatch) -> None:
     goals, said = three_goals("sealed"), list[list[Any]]()
     for whole in (True, False):
-        monkeypatch.setattr(live, "is_whole", lambda _, whole=whole: whole)
+        monkeypatch.setattr(person_problem, "is_whole", lambda _, whole=whole: whole)
         desk = Assistant(goals, ["ann", "bob"], setting=Setting(c_suggest=0.2, c_move=0.0, c_ask=0.02))
         said.append([])
         for _ in range(8):

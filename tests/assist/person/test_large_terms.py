@@ -11,12 +11,12 @@ from conftest import KITTING, table_of
 
 from assist.certify import upper_bound
 from assist.certify.options import BoundOptions
-from assist.live import Assistant, live_task
+from assist.live import Assistant
 from assist.people import Population
 from assist.people.memory import choices_of
 from assist.people.memory_on_demand import Remembering
 from assist.people.terms import TERMS
-from assist.person import PersonProblem, Setting, solve
+from assist.person import PersonProblem, Setting, person_problem, solve
 from assist.team import Pool, simulate
 from planner import Instance, OnDemand, Table
 
@@ -139,7 +139,7 @@ def test_a_bound_on_a_team_with_terms(tiny: Table, monkeypatch: pytest.MonkeyPat
 def test_a_live_robot_knows_the_habits_of_people_at_a_large_task(tiny: Table, monkeypatch: Any) -> None:
     said = list[list[Any]]()
     for whole in (True, False):
-        monkeypatch.setattr(live_task, "is_whole", lambda _, whole=whole: whole)
+        monkeypatch.setattr(person_problem, "is_whole", lambda _, whole=whole: whole)
         desk = Assistant(tiny, ["ann"], setting=Setting(c_suggest=0.05, c_move=0.0), population=HABITS)
         rng, found = Random(1), list[Any]()
         for step in range(12):

@@ -18,9 +18,9 @@ from assist.certify.options import BoundOptions
 from assist.certify.prices import kinds_of
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
-from assist.live import Assistant, live_task
+from assist.live import Assistant
 from assist.people.ranges import Population
-from assist.person import shared_task, truncated_bound, truncated_policy
+from assist.person import person_problem, shared_task, truncated_bound, truncated_policy
 from assist.person.frontier_bounds import never_erring
 from assist.person.observation_model import ObservationModel
 from assist.person.pomdp import AssistPOMDP
@@ -95,7 +95,7 @@ def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dic
 
 def test_policies_answer_without_being_solved(tiny: Table) -> None:
     whole, part = Pool.sample(tiny, 2, seed=1).policies[0], Pool.sample(tiny, 2, seed=1, states=0).policies[0]
-    assert (whole.problem.size, part.problem.size) == (len(tiny), np.inf)
+    assert (whole.problem.region, part.problem.region) == (None, part.ground.size)
     assert whole.problem.cheapest == part.problem.cheapest == 1
     assert whole.problem.task.initial == part.problem.task.initial
     whole.problem.require_enumerated("this", "that is so")
@@ -264,7 +264,7 @@ def test_a_live_team_keeps_the_rows_of_people_and_decisions(tiny: Table, monkeyp
     monkeypatch.setattr(shared_task, "ROWS", 25)
     said = list[list[Any]]()
     for whole in (True, False):
-        monkeypatch.setattr(live_task, "is_whole", lambda _, whole=whole: whole)
+        monkeypatch.setattr(person_problem, "is_whole", lambda _, whole=whole: whole)
         desk = Assistant(
             tiny, ["ann", "bob"], setting=Setting(c_suggest=0.05, c_move=0.0), population=Population(beta=(0.1, 0.5))
         )  # fmt: skip
