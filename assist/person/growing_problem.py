@@ -88,17 +88,16 @@ class GrowingProblem(ProblemRows):
 
     def __init__(self, ground: SharedTask, assumed: Assumptions) -> None:
         self.ground, self.assumed, self.region, self._limit = ground, assumed, ground.size, ground.rows
+        self.task = known = first_of(ground.known)
+        self.searches, costs = known.searches, known.task.action_costs
+        self.cheapest = float(costs[costs > 0].min()) if costs.any() else 1.0
+        self.dearest = float(costs.max(initial=1.0))
         self._rows = Rows(OF_PLACES | OF_CHOICES)
         self._tables = OrderedDict[str, None]()  # the last used last
         self._lock = threading.RLock()
-        self._step = self._learn(np.array([self.task.initial]))  # it has row 0
+        self._step = self._learn(np.array([known.initial]))  # it has row 0
         self.first = self._step.pomdp
         self._snapshot, self._version = self._taken(), self._rows.version
-
-    @property
-    def task(self) -> CostToGo:
-        """The cost-to-go of the whole task, that of the first goal if there are several."""
-        return first_of(self.ground.known)
 
     def task_of(self, goal: int) -> CostToGo:
         """Return the cost-to-go of the whole task for one of the goals."""
@@ -109,30 +108,9 @@ class GrowingProblem(ProblemRows):
         """The largest numbers that occur anywhere in the task."""
         return self.ground.extent(self.assumed)
 
-    @property
-    def searches(self) -> bool:
-        """Whether a state that was not visited before takes a slow search."""
-        return self.task.searches
-
-    @property
-    def cheapest(self) -> float:
-        """The smallest positive cost of an action; 1 if all actions are free."""
-        costs = self.task.task.action_costs
-        return float(costs[costs > 0].min()) if (costs > 0).any() else 1.0
-
-    @property
-    def dearest(self) -> float:
-        """The largest cost of an action or a wait."""
-        return float(self.task.task.action_costs.max(initial=1.0))
-
     def states(self, places: Ints) -> Ints:
         """Return the task state of each place, shape (N,)."""
         return memory_of(self.ground.known).state_of(places)
-
-    def require_enumerated(self, what: str, why: str) -> None:
-        """Raise a `ValueError`, since not all states are enumerated."""
-        size = f"{len(self.task):,} states or more"
-        raise ValueError(f"{what}: expected an enumerated task, as {why}; this one is too large, with {size}")
 
     def on(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""

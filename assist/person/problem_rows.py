@@ -84,17 +84,13 @@ class ProblemRows(Protocol):
     region: int | None
     first: AssistPOMDP
     lasting: Ints
+    task: Choices | CostToGo
+    searches: bool
+    cheapest: float
+    dearest: float
 
     @property
-    def task(self) -> Choices | CostToGo: ...  # noqa: D102
-    @property
     def extent(self) -> Extent: ...  # noqa: D102
-    @property
-    def searches(self) -> bool: ...  # noqa: D102
-    @property
-    def cheapest(self) -> float: ...  # noqa: D102
-    @property
-    def dearest(self) -> float: ...  # noqa: D102
 
     def task_of(self, goal: int) -> Choices | CostToGo:
         """Return the whole task with one of the goals, given by its number."""
@@ -106,7 +102,9 @@ class ProblemRows(Protocol):
 
     def require_enumerated(self, what: str, why: str) -> None:
         """Check that all states are enumerated. If not, the `ValueError` says that `what` needs them, and `why`."""
-        ...
+        if self.region is not None:
+            size = f"{len(self.task):,} states or more"
+            raise ValueError(f"{what}: expected an enumerated task, as {why}; this one is too large, with {size}")
 
     @property
     def now(self) -> Snapshot:
@@ -154,39 +152,23 @@ class WholeProblem(ProblemRows):
 
     def __init__(self, pomdp: AssistPOMDP) -> None:
         self.first, self.lasting = pomdp, np.arange(len(pomdp.robot_actions))
-
-    @property
-    def task(self) -> Choices:
-        """The choices in all states."""
-        return self.first.model.choices
+        self.task = self._choices = pomdp.model.choices
+        self.cheapest, self.dearest = self._choices.unit, float(self._choices.costs.max(initial=0.0))
 
     @property
     def extent(self) -> Extent:
         """The largest numbers that occur in the arrays."""
-        h = self.task.goals.h
+        h = self._choices.goals.h
         most, robots = self.first.suggested.shape
         return Extent(most, robots, float(h[np.isfinite(h)].max(initial=0.0)))
 
-    @property
-    def cheapest(self) -> float:
-        """The smallest positive cost of a choice; 1 if all are free."""
-        return self.task.unit
-
-    @property
-    def dearest(self) -> float:
-        """The largest cost of a choice."""
-        return float(self.task.costs.max())
-
     def task_of(self, goal: int) -> Choices:
         """Return the choices with one of the goals."""
-        return self.task.of_goal(goal)
+        return self._choices.of_goal(goal)
 
     def states(self, places: Ints) -> Ints:
         """Return the task state of each place, shape (N,)."""
-        return places if self.task.state is None else self.task.state[places]
-
-    def require_enumerated(self, what: str, why: str) -> None:
-        """Do nothing: all states are."""
+        return places if self._choices.state is None else self._choices.state[places]
 
     @cached_property
     def now(self) -> Snapshot:
