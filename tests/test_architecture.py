@@ -36,15 +36,15 @@ ROOMS = {
         goals terms memory memory_on_demand choice_model weighted_choice human ranges real_people spread belief
         influence_kernels type_kernels trust_rules neighbours neighbourhood sights theta_reach perceived_suggestions
         action_names signals""",
-    "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings robot_actions
-        trust_shares pomdp each_goal assumptions visiting_robot problem_arrays people_arrays random_kinds rows rounding
-        action_values krylov sparse_iteration policy_iteration mdp_values problem_rows policy rows_of_people
-        lazy_policy archive belief_filter belief_update dynamics_kernel dynamics joint_belief beliefs
-        seen_beliefs hidden_beliefs expected_values qmdp solution_cache alpha_vectors upper_hull convex_bound
-        belief_hulls vector_lists hsvi search memory_needed further_beliefs solver time_expansion
-        subproblem_frontier attention_subproblem frontier_bounds likely_states truncated_task state_cache
-        shared_task closed_problem growing_problem backups leaf_estimates compliance_relaxation truncated_bound
-        truncated_policy person_problem""",
+    "assist.person": """ties leaf_bounds behaviour evidence observation_model robots fleet travel settings
+        robot_actions trust_shares pomdp each_goal assumptions visiting_robot problem_arrays people_arrays
+        random_kinds rows rounding action_values krylov sparse_iteration policy_iteration mdp_values
+        problem_rows policy rows_of_people lazy_policy archive belief_filter belief_update dynamics_kernel
+        dynamics joint_belief beliefs seen_beliefs hidden_beliefs expected_values qmdp solution_cache
+        alpha_vectors upper_hull convex_bound belief_hulls vector_lists hsvi search memory_needed
+        further_beliefs solver time_expansion subproblem_frontier attention_subproblem frontier_bounds
+        likely_states truncated_task state_cache shared_task closed_problem growing_problem backups
+        leaf_estimates compliance_relaxation truncated_bound truncated_policy person_problem""",
     "assist.team": """policy_names by_policy state action_check assignment seen baselines attention attention_never
         outlook questions robots_at_work parts engine priority whittle rollout policies affordable drawn solving union
         matching pool schedule common_random_numbers goal_knowledge trace episode episodes trust_of_people model_group

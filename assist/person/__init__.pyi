@@ -1,6 +1,7 @@
 from .alpha_vectors import VectorPolicy as VectorPolicy
 from .assumptions import Assumptions as Assumptions
 from .attention_subproblem import AttentionSubproblem as AttentionSubproblem
+from .behaviour import Behaviour as Behaviour
 from .joint_belief import JointBelief as JointBelief
 from .leaf_bounds import LeafBounds as LeafBounds
 from .leaf_estimates import LeafEstimates as LeafEstimates
@@ -9,7 +10,6 @@ from .observation_model import ObservationModel as ObservationModel
 from .person_problem import PersonProblem as PersonProblem
 from .policy import Policy as Policy
 from .pomdp import AssistPOMDP as AssistPOMDP
-from .pomdp import Behaviour as Behaviour
 from .qmdp import QMDP as QMDP
 from .qmdp import qmdp as qmdp
 from .robots import OfRobots as OfRobots

@@ -12,8 +12,9 @@ from ..people.hidden_type import HiddenType
 from ..people.human import Human, HumanModel
 from ..people.ranges import Population
 from ..people.trust_rules import EquationSeven, TrustRule, counts_of
+from .behaviour import Behaviour
 from .leaf_bounds import LeafBounds
-from .pomdp import AssistPOMDP, Behaviour
+from .pomdp import AssistPOMDP
 from .robots import USUAL, OfRobots, Suggestions
 from .settings import Setting
 

@@ -12,7 +12,6 @@ for one of several goals may be suggested.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import get_args
@@ -25,39 +24,17 @@ from planner.system.arrays import outline, read_only
 from ..people import belief as beliefs
 from ..people.arguments import check_costs, one_of
 from ..people.belief import Grid
-from ..people.choice_model import ChoiceModel, boltzmann, chances
+from ..people.choice_model import ChoiceModel, chances
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import HiddenType
 from ..people.human import HumanModel
 from ..people.ranges import Population
-from ..people.trust_rules import EquationSeven, TrustRule, counts_of
+from ..people.trust_rules import EquationSeven, counts_of
+from .behaviour import PAPER, Behaviour
 from .leaf_bounds import LeafBounds
 from .robot_actions import RobotActions
 from .robots import USUAL, OfRobots, Suggestions
 from .trust_shares import trust_shares
-
-
-@dataclass(frozen=True)
-class Behaviour:
-    """How people choose and trust, and what is hidden about them.
-
-    Attributes
-    ----------
-    chooses : ChoiceModel
-        Model of people's choices, with beta as the person's type; equation 5 by default.
-    trust : TrustRule or None
-        How theta moves; None stands for equation (7) with the rate and the unit of utility of a `HumanModel`.
-    types : callable
-        What is hidden about the person: a class of `HiddenType`, or a function with its arguments. A class of one's own
-        has further parts.
-    """
-
-    chooses: ChoiceModel = boltzmann
-    trust: TrustRule | None = None
-    types: Callable[..., HiddenType] = HiddenType
-
-
-PAPER = Behaviour()
 
 
 @dataclass(frozen=True, kw_only=True)

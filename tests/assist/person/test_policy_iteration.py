@@ -21,10 +21,10 @@ from assist.people.misconception import perceived_cost_to_go
 from assist.people.trust_rules import Reliability, TrustRule, outcome
 from assist.person import AssistPOMDP, policy_iteration, sparse_iteration
 from assist.person.attention_subproblem import AttentionSubproblem
+from assist.person.behaviour import Behaviour
 from assist.person.leaf_bounds import LeafBounds
 from assist.person.mdp_values import evaluate, initial_upper_bounds, value_iteration
 from assist.person.policy_iteration import rounding_error
-from assist.person.pomdp import Behaviour
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
