@@ -15,7 +15,7 @@ from .choices import Choices
 Floats = NDArray[np.float64]
 
 NOTHING = -1
-"""Slot number that means no suggestion."""
+"""No slot: nothing is suggested, executed or chosen."""
 
 
 def perceived_cost(choices: Choices, h: Floats) -> Floats:
