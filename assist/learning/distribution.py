@@ -198,7 +198,8 @@ def mixture(record: dict[str, Any]) -> Population:
     try:
         parts = [dict(part) for part in record["parts"]]
         shares = tuple(part.pop("share") for part in parts)
-        return Population.mixed(tuple(Population(**part) for part in parts), shares)
+        written = ({**part, **{name: part[name] for name in ("beta", "theta", "sigma")}} for part in parts)
+        return Population.mixed(tuple(Population(**part) for part in written), shares)
     except (KeyError, TypeError, ValueError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else f"{error}"
         raise ValueError(f"expected a population as `kitassist fit --write-population` writes it ({what})") from None

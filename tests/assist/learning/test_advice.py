@@ -199,6 +199,7 @@ def test_parameters_of_simulated_people_are_found() -> None:
         assert fitted[name] == pytest.approx(true, abs=most)
 
 
+@pytest.mark.slow
 def test_a_fit_of_clipped_steps_is_the_best_of_local_maxima() -> None:
     """With too few nodes there are many maxima, which tell nothing about people."""
     log, rng = simulated(20, 20, 3), np.random.default_rng(1)

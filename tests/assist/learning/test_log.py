@@ -103,89 +103,50 @@ def test_actions_as_people_write_them(tiny: Table) -> None:
 
 
 GOOD = lines(*PLAN, person="bob")
-MALFORMED = [
-    (
-        lines(FETCH, "(plce hammer slot-1 box-a)"),
-        8,
-        "person 'ann', episode '1', which is left out: step 1: (plce hammer slot-1 box-a): no action of the task is "
-        f"called 'plce'; nearest in spelling of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
-    ),
-    (
-        lines(FETCH, "(fetch box-b)"),
-        8,
-        "person 'ann', episode '1', which is left out: step 1: (fetch box-b) is not applicable here; "
-        f"nearest in spelling of the 3 applicable: {BACK}",
-    ),
-    (
-        lines(FETCH, "(place hamer slot-1 box-a)"),
-        8,
-        "person 'ann', episode '1', which is left out: step 1: (place hamer slot-1 box-a) is no action of the task; "
-        f"nearest in spelling of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
-    ),
-    (
-        lines(FETCH, "(place hammer)"),
-        8,
-        f"person 'ann', episode '1', which is left out: step 1: (place hammer) may be any of {RIGHT}, {WRONG}",
-    ),
-    (
-        [*lines(FETCH), *lines(FETCH)],
-        8,
-        "person 'ann', episode '1', which is left out: step 0 is on line 7 already; are these two episodes, or two "
-        "people?",
-    ),
-    (
-        [*lines(FETCH, WRONG), *(dict(row, step=10) for row in lines(FETCH))],
-        9,
-        "person 'ann', episode '1', which is left out: step 10 comes after step 1, as if a line were missing; "
-        "--set gaps=true (in Python gaps=True) if the log counts otherwise",
-    ),
-    (
-        [*lines(FETCH, WRONG), *(dict(row, step=2) for row in lines(FETCH))],  # two people with one name
-        9,
-        "person 'ann', episode '1', which is left out: step 2: (fetch box-a) is not applicable here; "
-        "nearest in spelling of the 2 applicable: (return box-a)",
-    ),
-    (
-        [{"person": "ann", "episode": "1", "step": 2**63, "action": FETCH}],
-        7,
-        "person 'ann', episode '1', which is left out: 'step' is too large; expected a whole number of at most 64 bits",
-    ),
-    (
-        [{"person": "ann", "episode": "1", "step": 0, "action": "(fetch box-a"}],
-        7,
-        "person 'ann', episode '1', which is left out: 'action' opens 1 and closes 0 brackets; expected (name argument "
-        "...) or name(argument, ...)",
-    ),
-    (
-        [{"person": "\ud800", "episode": "1", "step": 0, "action": FETCH}],
-        7,
-        "episode '1', which is left out: 'person' is \"\\ud800\", which cannot be shown; expected a name",
-    ),
-    (
-        [{"person": "ann", "episode": "1", "step": "one", "action": FETCH}],
-        7,
-        "person 'ann', episode '1', which is left out: 'step' is \"one\"; expected a whole number",
-    ),
-    (
-        [{"person": "ann", "episode": "1", "step": 0, "action": 3}],
-        7,
-        "person 'ann', episode '1', which is left out: 'action' is 3; expected an action as text, "
-        '"(name argument ...)", or null',
-    ),
-]
+LEFT_OUT = "person 'ann', episode '1', which is left out: "
+
+
+def of_ann(**changed: object) -> list[dict]:
+    return [{"person": "ann", "episode": "1", "step": 0, "action": FETCH} | changed]
+
+
+def later(step: int) -> list[dict]:
+    return [*lines(FETCH, WRONG), *(row | {"step": step} for row in lines(FETCH))]
+
+
+MALFORMED: list[tuple[list[dict], int, str]] = [
+    (lines(FETCH, "(plce hammer slot-1 box-a)"), 8, LEFT_OUT + "step 1: (plce hammer slot-1 box-a): no action of the "
+     f"task is called 'plce'; nearest in spelling of the 3 applicable: {RIGHT}, {WRONG}, {BACK}"),
+    (lines(FETCH, "(fetch box-b)"), 8, LEFT_OUT + "step 1: (fetch box-b) is not applicable here; nearest in spelling "
+     f"of the 3 applicable: {BACK}"),
+    (lines(FETCH, "(place hamer slot-1 box-a)"), 8, LEFT_OUT + "step 1: (place hamer slot-1 box-a) is no action of "
+     f"the task; nearest in spelling of the 3 applicable: {RIGHT}, {WRONG}, {BACK}"),
+    (lines(FETCH, "(place hammer)"), 8, LEFT_OUT + f"step 1: (place hammer) may be any of {RIGHT}, {WRONG}"),
+    ([*lines(FETCH), *lines(FETCH)], 8, LEFT_OUT + "step 0 is on line 7 already; are these two episodes, or two "
+     "people?"),
+    (later(10), 9, LEFT_OUT + "step 10 comes after step 1, as if a line were missing; --set gaps=true (in Python "
+     "gaps=True) if the log counts otherwise"),
+    (later(2), 9, LEFT_OUT + "step 2: (fetch box-a) is not applicable here; nearest in spelling of the 2 applicable: "
+     "(return box-a)"),  # two people with one name
+    (of_ann(step=2**63), 7, LEFT_OUT + "'step' is too large; expected a whole number of at most 64 bits"),
+    (of_ann(action="(fetch box-a"), 7, LEFT_OUT + "'action' opens 1 and closes 0 brackets; expected (name argument "
+     "...) or name(argument, ...)"),
+    (of_ann(person="\ud800"), 7, "episode '1', which is left out: 'person' is \"\\ud800\", which cannot be shown; "
+     "expected a name"),
+    (of_ann(step="one"), 7, LEFT_OUT + "'step' is \"one\"; expected a whole number"),
+    (of_ann(action=3), 7, LEFT_OUT + "'action' is 3; expected an action as text, \"(name argument ...)\", or null"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("bad", "line", "message"), MALFORMED, ids=[str(n) for n in range(len(MALFORMED))])
 def test_faults_are_named_and_good_episodes_used(
     tmp_path: Path, tiny: Table, bad: list[dict], line: int, message: str
 ) -> None:
-    file = write_log(tmp_path / "log.jsonl", [*GOOD, *bad])
-    read = read_log(file)
+    read = read_log(write_log(tmp_path / "log.jsonl", [*GOOD, *bad]))
     recording, more = replay(read, tiny)
     (fault,) = [*read.faults, *more]
     assert (fault.line, str(fault)) == (line, message)
-    assert recording.people == ("bob",)
-    assert len(recording) == 6
+    assert (recording.people, len(recording)) == (("bob",), 6)
 
 
 def test_what_comes_after_the_goal_is_left_out(tiny: Table) -> None:
@@ -197,61 +158,55 @@ def test_what_comes_after_the_goal_is_left_out(tiny: Table) -> None:
     )
 
 
+BOTH = {"ann": len(PLAN), "bob": len(PLAN)}
+
+
+def both(begin: int = 0, every: int = 1) -> list[dict]:
+    """Return two episodes whose steps count from a number, by a number."""
+    return [row | {"step": begin + every * row["step"]} for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
+
+
 def test_steps_that_count_otherwise(tmp_path: Path, tiny: Table) -> None:
     """If step numbers are unclear, a broken line may belong to every episode that continues after it."""
-    rows = [dict(row, step=3 * row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
+    rows = both(every=3)
     file = write_log(tmp_path / "log.jsonl", rows)
-    assert used(file, tiny) == {}
-    assert used(file, tiny, gaps=True) == {"ann": len(PLAN), "bob": len(PLAN)}
+    assert (used(file, tiny), used(file, tiny, gaps=True)) == ({}, BOTH)
     file.write_text("\n".join([*text_of(rows[:8]), "#", *text_of(rows[8:])]) + "\n")
     assert used(file, tiny, gaps=True) == {"ann": len(PLAN)}
 
 
-@pytest.mark.parametrize(("begin", "kept"), [(0, ["ann", "bob"]), (1, ["ann", "bob"]), (2, [])])
-def test_a_line_that_may_have_been_the_first_of_an_episode(tmp_path: Path, tiny: Table, begin: int, kept: list) -> None:
-    """The unreadable line begins no episode if all episodes begin with the first step number of this log."""
-    rows = [dict(row, step=begin + row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
-    file = tmp_path / "log.jsonl"
-    file.write_text("\n".join(["#", *text_of(rows)]) + "\n")
-    assert list(used(file, tiny)) == kept
-    file.write_text("\n".join(text_of(rows)) + "\n")
-    assert list(used(file, tiny)) == ["ann", "bob"]
-
-
-@pytest.mark.parametrize("begin", [0, 1, 5])
-@pytest.mark.parametrize("missing", [1, 2])
-def test_an_episode_without_its_first_lines_is_left_out(tmp_path: Path, tiny: Table, begin: int, missing: int) -> None:
-    """Actions after a wrong start would often be applicable, and a person would seem to err who did not."""
-    rows = [dict(row, step=begin + row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
-    file = write_log(tmp_path / "log.jsonl", [*rows[: len(PLAN)], *rows[len(PLAN) + missing :]])
-    assert used(file, tiny) == {"ann": len(PLAN)}
-    (fault,) = read_log(file).faults
-    assert (fault.line, str(fault)) == (
-        len(PLAN) + 1,
-        f"person 'bob', episode '1', which is left out: step {begin + missing} is its first and {begin} that of "
-        "others, as if a line were missing; --set gaps=true (in Python gaps=True) if the log counts otherwise",
-    )
-    assert read_log(file, gaps=True).faults == ()
-
-
 @pytest.mark.parametrize("begin", [0, 1, 2, 5])
-def test_a_log_that_does_not_count_from_0_is_told_so(tmp_path: Path, tiny: Table, begin: int) -> None:
-    """Every episode may have lost its first line. Nothing else in the log can tell."""
-    rows = [dict(row, step=begin + row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
+def test_a_first_line_may_be_missing(tmp_path: Path, tiny: Table, begin: int) -> None:
+    """Actions after a wrong start would often be applicable, and a person would seem to err who did not."""
+    rows = both(begin)
     file = write_log(tmp_path / "log.jsonl", rows)
+    # Every episode may have lost its first line. Nothing else in the log can tell.
     said = f"read steps that count from {begin}: a first line that is missing in every episode is not noticed"
     assert read_log(file).note == (said if begin else "")
-    assert used(file, tiny) == {"ann": len(PLAN), "bob": len(PLAN)}
     assert read_log(file, gaps=True).note == ""
+    assert used(file, tiny) == BOTH
+    # An unreadable line begins no episode if all episodes begin with the first step number of this log.
+    file.write_text("\n".join(["#", *text_of(rows)]) + "\n")
+    assert used(file, tiny) == (BOTH if begin < 2 else {})
+    for missing in (1, 2):
+        write_log(file, [*rows[: len(PLAN)], *rows[len(PLAN) + missing :]])
+        assert used(file, tiny) == {"ann": len(PLAN)}
+        (fault,) = read_log(file).faults
+        assert (fault.line, str(fault)) == (
+            len(PLAN) + 1, f"person 'bob', episode '1', which is left out: step {begin + missing} is its first and "
+            f"{begin} that of others, as if a line were missing; --set gaps=true (in Python gaps=True) if the log "
+            "counts otherwise",
+        )  # fmt: skip
+        assert read_log(file, gaps=True).faults == ()
 
 
 @pytest.mark.parametrize("text", [None, "", "-", "NA"])
 def test_a_step_at_which_nothing_was_done(tmp_path: Path, tiny: Table, text: str | None) -> None:
     """It is no choice, and no missing line."""
-    rows = [dict(row, step=2 * row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
+    rows = both(every=2)
     pauses = [dict(row, step=row["step"] + 1, action=text, suggestion=text or None) for row in rows]
     file = write_log(tmp_path / "log.jsonl", [*rows, *pauses])
-    assert used(file, tiny) == {"ann": len(PLAN), "bob": len(PLAN)}
+    assert used(file, tiny) == BOTH
     log = read_log(file)
     assert (log.faults, replay(log, tiny)[1]) == ((), [])
     assert "line 13 and 11 more, without an action, as nothing done" in log.note

@@ -242,6 +242,7 @@ def test_the_command_line_fits_and_compares(tmp_path: Path) -> None:
     assert (done.exit_code, "one person; a comparison needs two or more" in done.stderr) == (1, True)
 
 
+@pytest.mark.slow
 def test_recordings_become_logs_of_the_tower(tmp_path: Path) -> None:
     make_up(tmp_path / "made", 3, 2, np.random.default_rng(0))
     every = read_all(tmp_path / "made")
