@@ -140,7 +140,8 @@ class _Reader:
             parts = condition.parts[1:] if head == "or" else condition.parts[2:]
             times = {time for part in parts for time, _ in self._by_time(part)}
             if len(times) != 1:
-                refuse(self.file, condition, f"durative action '{self.name}': '{head}' joins conditions of different "
+                written = next((each for each in condition.walk() if each.place.line), condition)
+                refuse(self.file, written, f"durative action '{self.name}': '{head}' joins conditions of different "
                        "times; expected one time around all of it")  # fmt: skip
             inner = [conjunction(each for _, each in self._by_time(part)) for part in parts]
             if head == "exists":

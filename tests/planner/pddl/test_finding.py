@@ -99,13 +99,6 @@ def test_several_domains_are_listed(tmp_path: Path) -> None:
     assert find_instances([tmp_path], tmp_path / "b-domain.pddl")[0].domain == tmp_path / "b-domain.pddl"
 
 
-def test_several_domains_beside_another_s_domain_pddl(tmp_path: Path) -> None:
-    written(tmp_path, "domain.pddl", domain="other")
-    written(tmp_path, "a-domain.pddl", "b-domain.pddl", "tiny.pddl")
-    with pytest.raises(PDDLError, match="2 files define the domain 'kitting'"):
-        load(tmp_path / "tiny.pddl")
-
-
 def test_no_domain_is_said_with_the_option(tmp_path: Path) -> None:
     written(tmp_path / "in", "tiny.pddl")
     with pytest.raises(PDDLError, match=r"tiny.pddl:\d+: no file beside .* 'kitting'; give it with --domain") as error:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
-from conftest import KITTING, kitassist, understood, write_instance
+from conftest import KITTING, invoke, kitassist, understood, write_instance
 
-from assist.cli import main
-from planner import PDDLError, find_instances, load
+from planner import Instance, PDDLError, load
 from planner.pddl.validation import validate
-from planner.system.errors import InputFileError, MismatchError
+from planner.system.errors import MismatchError
 
 DOMAIN = (KITTING / "domain.pddl").read_text()
 PROBLEM = (KITTING / "tiny.pddl").read_text()
@@ -133,73 +132,36 @@ def test_broken_pddl_names_the_place(tmp_path: Path, what: str) -> None:
     assert "\n" not in str(error.value)
 
 
-def test_binary_file(tmp_path: Path) -> None:
-    instance = write_instance(tmp_path, DOMAIN, "")
-    instance.problem.write_bytes(bytes(range(256)) * 4)
-    with pytest.raises(PDDLError, match="not a text file"):
-        load(instance)
-
-
 def test_pddl_does_not_distinguish_case(tmp_path: Path) -> None:
     task = load(write_instance(tmp_path, DOMAIN, PROBLEM.upper()))
     assert task.actions == load(KITTING / "tiny.pddl").actions
 
 
-@pytest.mark.parametrize(
-    ("case", "code"),
-    [
-        ("broken", 1),
-        ("binary", 1),
-        ("no domain", 1),
-        ("missing", 2),
-        ("no problems", 2),
-        ("no match", 2),
-        ("no such domain", 2),
-    ],
-)
-def test_the_command_says_it_in_one_line(tmp_path: Path, case: str, code: int) -> None:
+ONE_LINE: dict[str, tuple[Callable[[Instance], object], Callable[[Instance], list[object]], int]] = {
+    "broken": (lambda of: of.problem.write_text(PROBLEM.replace("-free)", "-fre)")), lambda of: [of.problem], 1),
+    "binary": (lambda of: of.problem.write_bytes(b"\x00\xff" * 100), lambda of: [of.problem], 1),
+    "no domain": (lambda of: of.domain.unlink(), lambda of: [of.problem], 1),
+    "missing": (lambda of: of.problem.unlink(), lambda of: [of.problem], 2),
+    "no problems": (lambda of: of.problem.unlink(), lambda of: [of.problem.parent], 2),
+    "no match": (lambda _: None, lambda of: [of.problem.with_name("x*.pddl")], 2),
+    "no such domain": (lambda _: None, lambda of: [of.problem, "--domain", of.domain.with_name("absent.pddl")], 2),
+}
+"""What is done to the files, the words of a command, and its exit code."""
+
+
+@pytest.mark.parametrize("case", ONE_LINE)
+def test_the_command_says_it_in_one_line(tmp_path: Path, case: str) -> None:
+    change, words, code = ONE_LINE[case]
     instance = write_instance(tmp_path, DOMAIN, PROBLEM)
-    arguments: list[object] = [instance.problem]
+    change(instance)
+    results = [invoke(*command, *words(instance)) for command in (("solve",), ("simulate", "--humans", 2))]
+    found = [(one.exit_code, one.stdout, one.stderr) for one in results]
     if case == "broken":
-        instance.problem.write_text(PROBLEM.replace("(platform-free)", "(platform-fre)"))
-    elif case == "binary":
-        instance.problem.write_bytes(b"\x00\xff" * 100)
-    elif case == "no domain":
-        instance.domain.unlink()
-    elif case == "missing":
-        arguments = [tmp_path / "absent.pddl"]
-    elif case == "no problems":
-        instance.problem.unlink()
-        arguments = [tmp_path]
-    elif case == "no match":
-        arguments = [f"{tmp_path}/x*.pddl"]
-    else:
-        arguments = [instance.problem, "--domain", tmp_path / "absent.pddl"]
-    # A second interpreter where that is what a user starts, and else none: both read in the same way.
-    for command, options in (("solve", []), ("simulate", ["--humans", "2"])):
-        if command == "solve" and case == "broken":
-            done = kitassist("solve", *arguments)
-            assert (done.returncode, done.stdout) == (code, "")
-            said = done.stderr
-        else:
-            result = CliRunner().invoke(main, [command, *map(str, arguments), *options])
-            assert result.exit_code == code
-            assert result.stdout == ""
-            said = result.stderr
-        assert len(said.splitlines()) == 1
+        done = kitassist("solve", instance.problem)  # as a user starts it
+        found.append((done.returncode, done.stdout, done.stderr))
+    for exit_code, printed, said in found:
+        assert (exit_code, printed, len(said.splitlines())) == (code, "", 1)
         assert str(tmp_path) in said
-
-
-def test_find_instances(tmp_path: Path) -> None:
-    first = write_instance(tmp_path / "a", DOMAIN, PROBLEM)
-    second = write_instance(tmp_path / "b" / "c", DOMAIN, PROBLEM)
-    assert find_instances([tmp_path]) == [first, second]
-    assert find_instances([first.problem, tmp_path / "a"]) == [first]
-    assert find_instances([f"{tmp_path}/*/p*.pddl"]) == [first]
-    assert find_instances([f"{tmp_path}/**/*.pddl"]) == [first, second]
-    assert find_instances([first.problem], second.domain)[0].domain == second.domain
-    with pytest.raises(InputFileError, match="no such file"):
-        find_instances([tmp_path / "absent"])
 
 
 def test_an_invalid_plan_is_rejected(tmp_path: Path) -> None:

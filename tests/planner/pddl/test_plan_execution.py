@@ -69,7 +69,7 @@ def test_a_plan_that_is_none_is_refused(tmp_path: Path, plan: list[str], message
 
 def test_derived_predicates_follow_numbers(tmp_path: Path) -> None:
     domain = """(define (domain d) (:predicates (full ?x) (chain ?x ?y) (low ?x) (done)) (:functions (n ?x))
-    (:derived (full ?x) (>= (n ?x) 2)) (:derived (low ?x) (not (full ?x)))
+    (:derived (full ?x) (= (n ?x) 2)) (:derived (low ?x) (not (full ?x)))
     (:derived (chain ?x ?y) (or (= ?x ?y) (exists (?z) (and (full ?z) (chain ?x ?z) (full ?y)))))
     (:action add :parameters (?x) :precondition (low ?x) :effect (increase (n ?x) 1))
     (:action end :parameters (?x ?y) :precondition (and (not (= ?x ?y)) (chain ?x ?y)) :effect (done)))"""

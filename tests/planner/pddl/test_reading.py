@@ -87,6 +87,10 @@ def test_the_task_that_is_changed_below(tmp_path: Path) -> None:
         ("tool part - thing thing tray - object", "thing tray object - object tool part - thing"),
         ("tool part - thing thing tray - object", "object - object tray - object tool part - thing"),
         ("tool part - thing thing tray - object", "tool - thing part - thing tray - tray"),
+        ("tool part - thing thing tray - object", "nut-part tool part - thing thing tray - object"),
+        ("(define (domain", "\ufeff(define (domain"),
+        ("(define (problem", "\ufeff(define (problem"),
+        ("(way ?a ?b))))\n", "( way   ?a\t?b ))))\n"),
         ("(seen ?x)", "(seen ?x - (either part tray))"),
         ("(seen ?x)", "(seen ?x) (= ?a ?b)"),
         ("(seen ?x)", "(seen ?x) (seen ?y - part)"),
@@ -107,7 +111,7 @@ def test_the_task_that_is_changed_below(tmp_path: Path) -> None:
         ("(free) (at red)", "(free) (not (at blue)) (at red) (at red)"),
         ("(= (total-cost) 0)", "(= (way red blue) 4.0)"),
     ],
-)
+)  # fmt: skip
 def test_ways_to_write_the_same(tmp_path: Path, old: str, new: str) -> None:
     domain, problem = changed(old, new)
     if "red)" in new and "exists" in new:  # objects that the domain names are constants
@@ -115,6 +119,28 @@ def test_ways_to_write_the_same(tmp_path: Path, old: str, new: str) -> None:
         problem = problem.replace("red blue - tray", "")
     table = swept(tmp_path, domain, problem)
     assert (table[table.initial], second(table.task)) == (7, None)
+
+
+def test_an_object_belongs_to_all_supertypes_of_its_type(tmp_path: Path) -> None:
+    domain = DOMAIN.replace("thing tray - object", "thing box - object tray - thing tray - box")
+    table = swept(
+        tmp_path, domain.replace("(on ?p - thing ?t - tray)", "(on ?p - thing ?t - (either part box))"), PROBLEM
+    )
+    assert table[table.initial] == 7
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_may_end_as_any_system_writes_them(tmp_path: Path, end: str) -> None:
+    """A comment ends with its line, whatever that is."""
+    commented = DOMAIN.replace("(:types", "; what there is\n  (:types")
+    instance = write_instance(tmp_path, "", "")
+    instance.domain.write_bytes(commented.replace("\n", end).encode())
+    instance.problem.write_bytes(PROBLEM.replace("\n", end).encode())
+    table = sweep(load(instance))
+    assert table[table.initial] == 7
+    instance.domain.write_bytes(commented.replace("1)))", "one)))").replace("\n", end).encode())
+    with pytest.raises(PDDLError, match=r":18: action 'take' costs 'one'"):
+        load(instance)
 
 
 def test_sections_may_stand_in_any_order(tmp_path: Path) -> None:
@@ -186,7 +212,11 @@ def test_what_is_of_a_supertype_may_be_of_the_type(tmp_path: Path) -> None:
         ("spare - tool", "spare - tol", 4, 23, "unknown type 'tol'; did you mean 'tool'"),
         ("spare - tool", "spare - (either tool part)", 4, 15, "object 'spare' is of \\(either"),
         ("spare - tool", "spare ?a - tool", 4, 21, "'\\?a' is not an object"),
+        ("thing tray - object)", "thing tray -object)", 3, 40, "'-object'"),
+        ("thing tray - object)", "thing tray- object)", 3, 35, "'tray-'"),
         # Predicates and functions.
+        ("(held ?p - thing)", "(held ?p -thing)", 5, 51, "'-thing': expected a blank before and after the hyphen"),
+        ("(seen ?x)", "(seen ?x - tol)", 5, 93, "unknown type 'tol'; did you mean 'tool'"),
         ("(seen ?x)", "(seen x)", 5, 88, "'x' is not a variable"),
         ("(seen ?x)", "(and ?x)", 5, 82, "'and' cannot be the name of a predicate"),
         ("(seen ?x)", "seen", 5, 82, "'seen' declares no predicate"),
@@ -194,6 +224,8 @@ def test_what_is_of_a_supertype_may_be_of_the_type(tmp_path: Path) -> None:
         ("(way ?a ?b - tray) - number", "(way ?a ?b - tray) - tray", 6, 56, "functions give numbers"),
         # Actions.
         ("(?a ?b - tray)\n", "(?a ?b ?a - tray)\n", 7, 34, "'\\?a' occurs twice"),
+        ("(?p - thing ?t - tray)\n", "(?p -thing ?t - tray)\n", 13, 33, "'-thing'"),
+        (":precondition (at ?a)\n", ":precondition (at ?a) :observe (at ?b)\n", 8, 27, "sensing actions are not"),
         (":precondition (at ?a)", ":preconditon (at ?a)", 8, 5, "did you mean ':precondition'"),
         (":precondition (at ?a)", ":effect (at ?a)", 9, 5, "a second :effect"),
         # Conditions.
@@ -225,7 +257,25 @@ def test_what_is_of_a_supertype_may_be_of_the_type(tmp_path: Path) -> None:
         ("(total-cost) (way ?a ?b)", "(total-cost) (way ?a ?c)", 12, 38, "unknown variable '\\?c'"),
         ("(total-cost) (way ?a ?b)", "(total-cost ?a) (way ?a ?b)", 12, 17, "'total-cost' takes 0 arguments"),
         ("(total-cost) (way ?a ?b)", "(total-cost) (total-cost)", 12, 30, "which changes"),
+        ("(total-cost) (way ?a ?b)", "(total-cost) (wya ?a ?b)", 12, 30, "no such function .*did you mean 'way'"),
+        ("(total-cost) (way ?a ?b)", "(total-cost) (way ?a)", 12, 30, "'way' takes 2 arguments, not 1"),
+        ("(total-cost) 1)", "(total-cost) one)", 17, 30, "action 'take' costs 'one'; expected a number"),
+        ("(total-cost) 1)", "(total-cost) 1,5)", 17, 30, "costs '1,5'"),
+        ("(total-cost) 1)", "(total-cost) 1e1)", 17, 30, "costs '1e1'"),
+        ("(total-cost) 1)", "(total-cost) -1)", 17, 30, "may not be negative"),
+        ("(total-cost) 1)", "(total-cost))", 17, 7, "'increase' expects exactly two arguments"),
+        ("(total-cost) 1)", "(total-cost) 1) (increase (total-cost) 5)", 17, 33, "action 'take' has two costs"),
         # Problems.
+        ("red blue - tray)", "red blue -tray)", 3, 14, "'-tray'"),
+        ("(on nut red)", "(on red nut)", 4, 30, "on has an argument of the wrong type: 'red' is of type tray"),
+        ("(at red)", "(at nut)", 4, 21, "'nut' is of type part, and tray is expected"),
+        ("(at red)", "(at\u200b red)", 4, None, r"zero width space is not ASCII \(U\+200B, column 20\)"),
+        ("(at red)", "(at\u00a0red)", 4, None, r"U\+00A0, column 20"),
+        ("(at red)", "(at\x1cred)", 4, None, r"a control character is no PDDL \(U\+001C, column 20\)"),
+        ("(at red)", "(at red)\x7f", 4, None, r"U\+007F, column 25"),
+        ("(at red)", "(at r\u2028ed)", 4, None, r"line separator is not ASCII \(U\+2028, column 22\)"),
+        ("(at red)", "(at réd)", 4, None, r"'é' is not ASCII \(U\+00E9, column 22\)"),
+        ("(on nut blue)", "(and " * 200 + "(on nut blue)" + ")" * 200, 9, None, "more than 200 parentheses"),
         ("nut - part", "nut spare - part", 2, 17, "'spare' is defined twice, on line 4 of .*domain.pddl as well"),
         ("(= (way red blue) 4)", "(= (way red nut) 4)", 6, 17, "'nut' is of type part, and tray is expected"),
         ("(= (way red blue) 4)", "(= (wya red blue) 4)", 6, 8, "no such function 'wya' .*did you mean 'way'"),
@@ -242,7 +292,7 @@ def test_what_is_of_a_supertype_may_be_of_the_type(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_faults_are_told_with_their_place(
-    tmp_path: Path, old: str, new: str, line: int, column: int, words: str
+    tmp_path: Path, old: str, new: str, line: int, column: int | None, words: str
 ) -> None:
     with pytest.raises(PDDLError, match=words) as error:
         load(write_instance(tmp_path, *changed(old, new)))
