@@ -6,15 +6,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from planner import CostToGo
 from planner.system.errors import InputFileError
 
-from ..declare.declared import plain
+from ..declare.declared import AnyTable, AnyText, Number, View, declared, plain
 from ..people.belief import Grid
 from ..people.choice_model import chances
 from ..people.decision import perceived_cost
@@ -30,24 +31,49 @@ from .record import TeamRecord
 OTHER_VERSION = "{file}: was recorded by kitassist {version}, and only that version reads it; expected another folder"
 
 
-def header_of(desk: Desk, tasks: Mapping[str, CostToGo | Goals], distance: ArrayLike | None) -> dict[str, Any]:
-    """Return the header of a session."""
-    return {
-        "format": TeamRecord.format,
-        "version": metadata.version("kitassist"),
-        "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
-        "setting": plain(Setting.of(desk.setting)),
-        "population": plain(desk.population),
-        "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
-        "tasks": {name: digest(task) for name, task in tasks.items()},
-        "files": files_of(tasks),
-        "chances": None
-        if desk.population.chooses is None
-        else {name: _chances(task, desk.population) for name, task in tasks.items()},
-    }
+@declared(kw_only=True)
+class Header(View):
+    """What every saved session begins with. A session that is opened again has the same, but for version and files."""
+
+    format: Annotated[AnyText, Field(description="Which records follow.")]
+    version: Annotated[AnyText, Field(description="The version of kitassist that began it.")]
+    tasks: Annotated[dict[str, AnyText], Field(description="A hash of each task, by its name.")]
+    files: Annotated[dict[str, AnyText | None], Field(description="The problem file of each task, if it has one.")]
+
+    @classmethod
+    def of_tasks(cls, format: str, tasks: Mapping[str, CostToGo | Goals], **more: Any) -> Self:
+        """Return the header of a session of tasks; `more` are the fields of the class beside these four."""
+        digests = {name: digest(task) for name, task in tasks.items()}
+        return cls(format=format, version=metadata.version("kitassist"), tasks=digests, files=_files_of(tasks), **more)
 
 
-def files_of(tasks: Mapping[str, CostToGo | Goals]) -> dict[str, str | None]:
+@declared(kw_only=True)
+class TeamHeader(Header):
+    """The header of a session of a team."""
+
+    policy: Annotated[AnyText | None, Field(description="The name of the team's policy, if it has one.")]
+    setting: Annotated[AnyTable, Field(description="The fields of `Setting`.")]
+    population: Annotated[AnyTable, Field(description="The prior over people.")]
+    distance: Annotated[list[list[Number]] | None, Field(description="The distances at first, if they were given.")]
+    chances: Annotated[
+        dict[str, AnyText] | None,
+        Field(description="If people choose by a function, a hash of its probabilities in each task."),
+    ]
+
+
+def header_of(desk: Desk, tasks: Mapping[str, CostToGo | Goals], distance: ArrayLike | None) -> TeamHeader:
+    """Return the header of a session of a team."""
+    people, policy = desk.population, desk.policy
+    return TeamHeader.of_tasks(
+        TeamRecord.format, tasks,
+        policy=policy if isinstance(policy, str) else getattr(policy, "name", None),
+        setting=plain(Setting.of(desk.setting)), population=plain(people),
+        distance=None if distance is None else np.asarray(distance, dtype=float).tolist(),
+        chances=None if people.chooses is None else {name: _chances(task, people) for name, task in tasks.items()},
+    )  # fmt: skip
+
+
+def _files_of(tasks: Mapping[str, CostToGo | Goals]) -> dict[str, str | None]:
     """Return the problem file of each task; None for that of a policy."""
     known = {name: getattr(getattr(first_of(task), "task", None), "instance", None) for name, task in tasks.items()}
     return {name: None if instance is None else str(instance.problem) for name, instance in known.items()}

@@ -12,7 +12,6 @@ stored one.
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import re
@@ -37,7 +36,7 @@ from ..team.state import TeamPolicy
 from .advice import Advice
 from .event_base import Event
 from .events import Joined, Vacant
-from .header import OTHER_VERSION, header_of, require_same
+from .header import OTHER_VERSION, Header, header_of, require_same
 from .history import History
 from .names import LONGEST_REASON, name_of
 from .people_store import PeopleStore, model_of
@@ -121,7 +120,7 @@ class Session(Reports):
 
     def _open(self) -> None:
         """Restore the state, or begin a new session."""
-        expected: dict[str, Any] = json.loads(json.dumps(self._header(), default=str))
+        expected = self._header().as_dict()
         self._meaning = model_of(expected.get("population", {}), expected.get("setting", {}), expected.get("chances"))
         with self._store.transaction():
             found = self._store.header()
@@ -135,7 +134,7 @@ class Session(Reports):
             if isinstance(self._restored, Team) and self._restored.distance != expected["distance"]:
                 self._check({"distance": self._restored.distance}, {"distance": expected["distance"]})
 
-    def _header(self) -> dict[str, Any]:
+    def _header(self) -> Header:
         return header_of(Team(self._tasks, **self._options).desk, self._tasks, self._options["distance"])
 
     def _check(self, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:

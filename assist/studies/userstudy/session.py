@@ -11,18 +11,20 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
 
 from planner import CostToGo
 from planner.system.errors import InputFileError
 from planner.system.files import atomic, remove_unfinished
 
+from ...declare.declared import AnyText, declared
 from ...declare.refusals import Refusal
 from ...live.event_base import Event
-from ...live.header import files_of
-from ...live.live_task import LiveTask, digest
+from ...live.header import Header
+from ...live.live_task import LiveTask
 from ...live.record import Record
 from ...live.session import Outcome, Session
 from ...live.store import Tombstone
@@ -52,6 +54,13 @@ LONG = 3.0
 
 RETRY = 10.0
 """Seconds between two attempts to remove what was withdrawn, each of which may take as long as opening the study."""
+
+
+@declared(kw_only=True)
+class StudyHeader(Header):
+    """The header of a user study."""
+
+    study: Annotated[AnyText, Field(description="A hash of the study's file.")]
 
 
 class StudySession(Session):
@@ -101,12 +110,8 @@ class StudySession(Session):
     def _once(self, task: CostToGo, setting: Setting) -> Policy:
         return LiveTask(task, setting, self.study.population).policy
 
-    def _header(self) -> dict[str, Any]:
-        return {
-            "format": StudyRecord.format, "version": metadata.version("kitassist"), "study": self.study.digest,
-            "tasks": {name: digest(task) for name, task in self._tasks.items()},
-            "files": files_of(self._tasks),
-        }  # fmt: skip
+    def _header(self) -> StudyHeader:
+        return StudyHeader.of_tasks(StudyRecord.format, self._tasks, study=self.study.digest)
 
     def _check(self, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
         if found.get("format") == StudyRecord.format and found.get("study") != self.study.digest:
