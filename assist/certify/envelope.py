@@ -25,21 +25,18 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..people.neighbourhood import Neighbourhood
-from ..people.theta_reach import ThetaReach
+from ..people.theta_reach import ThetaReach, range_of_gains
 from ..person.attention_subproblem import AttentionSubproblem, backwards
 from ..person.mdp_values import initial_upper_bounds, value_iteration
-from ..person.policy import Policy
-from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, look_ahead
 from ..person.solver import Solution
 from ..team.pool import Pool
-from ..team.seen import gained
 
 Ints = NDArray[np.int64]
 
@@ -83,17 +80,24 @@ class Envelope(OwnTheta):
         ValueError
             As in `ThetaReach.of`.
         """
-        seen, grid = pool.setting.neighbourhood(len(team)), pool.policies[0].pomdp.grid
-        events = _events(pool, team, places, seen)
-        return cls(ThetaReach.of(seen.rule, grid, events, len(pool.setting.robots))) if events else OwnTheta()
+
+        def gains(number: int) -> tuple[float, float]:
+            pomdp = pool.policies[number].pomdp
+            return range_of_gains(pomdp.model, pomdp.robot_actions > 1)
+
+        kind, grid = pool.model[list(team)].tolist(), pool.policies[0].pomdp.grid
+        seen, most = pool.setting.neighbourhood(len(team)), len(pool.setting.robots)
+        reach = ThetaReach.at(seen, places, kind, gains, grid, most)
+        return OwnTheta() if reach is None else cls(reach)
 
     def tail(self, free: AttentionSubproblem) -> Floats:
         """Return the values with free attention, as in `OwnTheta`."""
         return self.solved(free).value_mdp
 
     def bound(self, best: QMDP, search: Callable[[QMDP], Solution]) -> Solution | Lifted:  # noqa: ARG002
-        """Return these values as the bound."""
-        return Lifted.of(best)
+        """Return these values at the beginning as the bound."""
+        value = float((best.value_mdp[best.pomdp.model.choices.initial] * best.pomdp.prior).sum())
+        return Lifted(value, value, value)
 
     def solved(
         self, visits: AttentionSubproblem, tail: Floats | None = None, *, tolerance: float = 1e-5, sweeps: int = 10_000,
@@ -138,40 +142,13 @@ class Envelope(OwnTheta):
         return np.where(attended, *each)
 
 
-@dataclass(frozen=True, eq=False)
-class Lifted:
-    """The bound on a subproblem with an envelope, as `computation.Relaxation` reads it."""
+class Lifted(NamedTuple):
+    """The bound on a subproblem with an envelope, as `computation.Relaxation` reads it; no longer search lowers it."""
 
     value_qmdp: float
+    lower: float
+    upper: float
     stopped: str = "gap"
-
-    @property
-    def upper(self) -> float:
-        """The bound."""
-        return self.value_qmdp
-
-    @property
-    def lower(self) -> float:
-        """The bound, too: a longer search would not lower it."""
-        return self.value_qmdp
-
-    @classmethod
-    def of(cls, policy: QMDP) -> Lifted:
-        """Return the bound at the beginning of a subproblem."""
-        pomdp: AssistPOMDP = policy.pomdp
-        return cls(float((policy.value_mdp[pomdp.model.choices.initial] * pomdp.prior).sum()))
-
-
-def _events(
-    pool: Pool, team: tuple[int, ...], places: tuple[int, ...], seen: Neighbourhood
-) -> list[tuple[tuple[float, float], float]]:
-    """Return the range of gains of each kind of neighbours, and the largest weight with which it is seen."""
-    found: dict[int, float] = {}
-    for k in places:
-        for j, weight in seen.seen_from(k).items():
-            model = int(pool.model[team[j]])
-            found[model] = max(found.get(model, 0.0), weight)
-    return [(_range(pool.policies[model]), weight) for model, weight in sorted(found.items())]
 
 
 def require_envelope(pool: Pool, members: Iterable[int], paths: int) -> None:
@@ -191,11 +168,3 @@ def require_envelope(pool: Pool, members: Iterable[int], paths: int) -> None:
         )
     if paths:
         raise ValueError(f"paths {paths}: expected 0, as sample paths do not have what people see of neighbours")
-
-
-def _range(policy: Policy) -> tuple[float, float]:
-    """Return the least and the largest gain of a step of a person who may have got a suggestion."""
-    pomdp = policy.pomdp
-    row, slot = np.nonzero(pomdp.model.choices.applicable & (pomdp.robot_actions > 1)[:, None])
-    gain = gained(policy, row, pomdp.model.choices.targets[row, slot])
-    return float(gain.min(initial=0.0)), float(gain.max(initial=0.0))

@@ -19,11 +19,11 @@ from ..people.hidden_type import mean_over_goals
 from ..people.ranges import Population
 from ..person.pomdp import AssistPOMDP
 from ..person.rows_of_people import RowsOfPeople
-from ..person.seen_beliefs import Seen
 from ..person.settings import Setting
 from ..team.beginning import Beginning, Beginnings
 from ..team.common_random_numbers import CommonRandomNumbers
 from ..team.engine import Engine, PeopleAtWork, StepTaken
+from ..team.goal_knowledge import known_at_first
 from ..team.model_group import ModelGroup, World
 from ..team.pool import Pool
 from ..team.robots_at_work import RobotsAtWork
@@ -158,22 +158,15 @@ class Teams:
         self._prior = np.array([policy.pomdp.prior for policy in pool.policies])
         self.people, self.model = np.zeros(shape, dtype=np.int64), self.tasks.model
         self.x, row, goal, outcomes = np.zeros((4, *shape), dtype=np.int64)
-        self.theta, self.finished, self.erred = (
-            np.zeros(shape),
-            np.zeros(shape, dtype=bool),
-            np.zeros(shape, dtype=bool),
-        )
+        self.theta, self.finished = np.zeros(shape), np.zeros(shape, dtype=bool)
         self.belief = np.zeros((*shape, *self._prior.shape[1:])) if filters else None
         presence = Schedule.of(places)
         them = PeopleAtWork(
             self.people, AllTeams(CommonRandomNumbers(0, np.arange(teams), places), teams), world == "model", self.x,
             row, goal, self.theta, outcomes, self.finished, presence.joins, presence.leaves,
         )  # fmt: skip
-        flat = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self._prior.shape[1:])
-        known, robots = (
-            Seen(row.reshape(-1), flat, self.erred.reshape(-1), pool.setting.neighbourhood(places)),
-            RobotsAtWork(self.fleet, self.travel, teams),
-        )
+        known, robots = known_at_first(row, self.belief, pool.setting), RobotsAtWork(self.fleet, self.travel, teams)
+        self.erred = known.erred.reshape(shape)
         self.engine, self.location = Engine(self.tasks, them, robots, known), robots.location
 
     @property

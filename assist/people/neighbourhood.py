@@ -67,6 +67,41 @@ def seen_value(model: HumanModel, x: Ints) -> Floats:
     return mean_over_goals(value, np.array(list(goals.prior.values())))
 
 
+def seen_gain(model: HumanModel, before: Ints, after: Ints) -> Floats:
+    """Return what came of steps from some states to others, shape (N,), in cost units, as neighbours see it.
+
+    Parameters
+    ----------
+    model : HumanModel
+        As in `seen_value`.
+    before, after : int arrays, shape (N,)
+        States whose choices are known.
+    """
+    was, now = seen_value(model, before), seen_value(model, after)
+    return np.subtract(now, was, out=np.zeros(len(was)), where=now != was)
+
+
+def each_once(who: Ints, gain: Floats, followed: Bools, weight: Floats) -> tuple[Ints, SeenEvent, Ints]:
+    """Return who sees what, without repetitions; the arguments have the shape (m,).
+
+    Returns
+    -------
+    who : int array, shape (d,)
+    event : SeenEvent
+        Arrays of shape (d, 1).
+    place : int array, shape (m,)
+        Number, among these d, of each that was given.
+    """
+    gains, of_gain = np.unique(gain, return_inverse=True)
+    weights, of_weight = np.unique(weight, return_inverse=True)
+    kinds = len(gains) * 2 * len(weights)
+    key, place = np.unique(who * kinds + (of_gain * 2 + followed) * len(weights) + of_weight, return_inverse=True)
+    who, kind = np.divmod(key, kinds)
+    event, of_weight = np.divmod(kind, len(weights))
+    each = SeenEvent(gains[event // 2][:, None], (event % 2 == 1)[:, None], weights[of_weight][:, None])
+    return who, each, place.reshape(-1)
+
+
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
     """What people at the first K places of a team see of each other, and how their theta moves by it.

@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .belief import Grid
 from .decision import Floats
+from .human import HumanModel
+from .neighbourhood import Neighbourhood, seen_gain
 from .neighbours import Range, SeenRule
+
+
+def range_of_gains(model: HumanModel, heard: NDArray[np.bool_]) -> Range:
+    """Return the least and the largest gain of a step of a person who may have got a suggestion.
+
+    Parameters
+    ----------
+    model : HumanModel
+    heard : bool array, shape (n,)
+        In which states something can be suggested.
+    """
+    choices = model.choices
+    row, slot = np.nonzero(choices.applicable & heard[:, None])
+    gain = seen_gain(model, row, choices.targets[row, slot])
+    return float(gain.min(initial=0.0)), float(gain.max(initial=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +47,7 @@ class ThetaReach:
     high: Floats
 
     @classmethod
-    def of(cls, rule: SeenRule, grid: Grid, events: Sequence[tuple[Range, float]], most: int) -> ThetaReach:
+    def of(cls, rule: SeenRule, grid: Grid, events: Sequence[tuple[Range, float]], most: int) -> Self:
         """Return how far theta comes by at most `most` events of some kinds.
 
         The least and the largest theta after an event rise with theta, so that those after several are their iterates.
@@ -57,6 +76,36 @@ class ThetaReach:
             low.append(np.min([within(low[-1], *one)[0] for one in events], axis=0))
             high.append(np.max([within(high[-1], *one)[1] for one in events], axis=0))
         return cls(grid, np.array(low), np.array(high))
+
+    @classmethod
+    def at(
+        cls, seen: Neighbourhood, places: Iterable[int], kind: Sequence[int], gains: Callable[[int], Range], grid: Grid,
+        most: int,
+    ) -> Self | None:  # fmt: skip
+        """Return how far theta of people at some places comes; None if they see nobody.
+
+        Parameters
+        ----------
+        seen : Neighbourhood
+        places : iterable of int
+        kind : sequence of int
+            The model of the person at each place of the team.
+        gains : callable
+            Returns the range of gains of people of a model, who may get a suggestion (`range_of_gains`).
+        grid, most
+            As in `of`.
+
+        Raises
+        ------
+        ValueError
+            The rule has no envelope.
+        """
+        weights: dict[int, float] = {}
+        for k in places:
+            for j, weight in seen.seen_from(k).items():
+                weights[kind[j]] = max(weights.get(kind[j], 0.0), weight)
+        events = [(gains(model), weight) for model, weight in sorted(weights.items())]
+        return cls.of(seen.rule, grid, events, most) if events else None
 
     def lifted(self, value: Floats, events: int) -> Floats:
         """Return the largest values, shape (n, H, T), after theta has moved by at most so many events."""

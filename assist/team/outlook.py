@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..people.belief import moved
 from ..people.decision import NOTHING, Floats
+from ..people.neighbourhood import each_once
 from ..people.neighbours import SeenEvent
 from ..person.policy import Policy
 from .attention import AttentionSwitching
@@ -95,28 +96,21 @@ def _effects(
 
     People are given as indices of the flattened arrays. What is the same for a person is computed once.
     """
-    gains, of_gain = np.unique(gain, return_inverse=True)
-    weights, of_weight = np.unique(sees, return_inverse=True)
-    kinds = len(gains) * 2 * len(weights)
-    key, place = np.unique(who * kinds + (of_gain * 2 + followed) * len(weights) + of_weight, return_inverse=True)
-    who, kind = np.divmod(key, kinds)
-    event, weight = np.divmod(kind, len(weights))
-    effect, rule = np.zeros(len(key)), team.beliefs.neighbours.rule
+    who, event, place = each_once(who, gain, followed, sees)
+    effect, rule = np.zeros(len(who)), team.beliefs.neighbours.rule
     model = team.model.reshape(-1)[who]
     for group in np.unique(model).tolist():
         policy = team.policies[group]
         grid = policy.pomdp.grid
         mine = np.flatnonzero(model == group)
         for part in np.split(mine, range(AT_A_TIME, len(mine), AT_A_TIME)):
-            told = SeenEvent(
-                gains[event[part] // 2][:, None], (event[part] % 2 == 1)[:, None], weights[weight[part]][:, None]
-            )
+            told = SeenEvent(event.gain[part], event.followed[part], event.weight[part])
             theta = rule.update(np.broadcast_to(grid.theta, (len(part), len(grid.theta))), told)
             changes = np.flatnonzero((theta != grid.theta).any(axis=1))
             part, (x, belief) = part[changes], team.known_of(who[part[changes]])
             after = moved(belief, *grid.shares(theta[changes], grid.count))
             effect[part] = value(policy, x, after) - value(policy, x, belief)
-    return effect[place.reshape(-1)]
+    return effect[place]
 
 
 @dataclass(frozen=True)

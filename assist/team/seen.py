@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
-from ..people.neighbourhood import Helped, seen_value
+from ..people.neighbourhood import Helped, seen_gain
 from ..person.beliefs import Beliefs, PersonModel
 from ..person.policy import Policy
 from ..person.problem_arrays import Acts
@@ -91,6 +91,4 @@ def gained(policy: Policy, before: Ints, after: Ints) -> Floats:
     """Return what came of steps from some rows to others, both of shape (m,), in cost units, as neighbours see it."""
     # Rows to which a choice has just led may have no choices yet.
     before, after = (policy.rows(policy.places(x)) for x in (before, after))
-    model = policy.pomdp.model
-    was, now = seen_value(model, before), seen_value(model, after)
-    return np.subtract(now, was, out=np.zeros(len(was)), where=now != was)
+    return seen_gain(policy.pomdp.model, before, after)
