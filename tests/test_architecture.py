@@ -69,9 +69,9 @@ ROOMS = {
         seen_suggestions uncertain_actions beliefs live_questions decision_point robot_places decisions
         knowledge desk views event_base events reports record assistant store people_store header history team
         session simulated_person trace_reasons""",
-    "assist.studies": """statistics repeated_measures study plan_tables protocol tasks cells runner own_code_trials
+    "assist.studies": """statistics repeated_measures study plan_tables protocol tasks own_code_trials cells runner
         own_code""",
-    "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
+    "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes views
         participant_team roll teams events record cohort session csv_tables tables export
         forecast""",
     "assist.studies.reports": """watched_episode compared_policies policy_comparison wording

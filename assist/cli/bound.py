@@ -51,7 +51,7 @@ def bound(
     start = time.perf_counter()
     setting, seed = team.setting, team.seed
     check_questions(setting, team.given, team.problems)
-    team.given.refuse(("goal_knowledge", "max_steps", "observation", "c_ask", "ask_error"), "on a bound")
+    team.given.refuse(("goal_knowledge", "max_steps", "observation", "c_ask", "ask_error", "reasons"), "on a bound")
     if samples and team.problems:
         raise click.UsageError("--samples with --goals: expected people whose goal is known")
     with policy_errors():
@@ -60,14 +60,17 @@ def bound(
         made = team_of(team, team.humans, goals)
         try:
             with stages() as show:
+                ready = {name: made.prepared(one) for name, one in policies.items()}
                 compared = Comparison.of(
-                    made.pool, {name: made.prepared(one) for name, one in policies.items()}, progress=show,
+                    made.pool, ready, progress=show,
                     time_limit=max(1e-3, start + time_limit - time.perf_counter()), episodes=value_episodes,
                     seed=seed, travel=made.travel, gap=gap, paths=samples, jobs=jobs,
                     memory_limit_mb=setting.memory_limit, first=_show_first,
                 )  # fmt: skip
                 with kept_if_interrupted(lambda: True):
                     compared.simulate(show)
+                    for one in ready.values():
+                        made.require_no_memory(one, team.humans)
         except InterruptedBound as interrupted:
             end_after_showing(interrupted)
             _show_alone(interrupted.upper, interrupted.bounded, interrupted.people, as_json=as_json)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from ..declare.options import Given, setting_options
-from .options.common import figures_option, json_option, out_option, separate_files, together
+from .options.common import baseline_option, figures_option, json_option, out_option, separate_files, together
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, folds_option, method_of, reading_options, task_log_options, with_task
 from .options.settings import EstimateSetting
@@ -16,7 +16,13 @@ from .options.trust import AdviceOptions, advice_of, advice_options, influence_o
 from .output.comparisons import ComparisonFiles, models_compared, rules_compared, show_comparison
 from .terminal.console import ExitCode, one_line_errors
 
-comparison_files = together("files", ComparisonFiles, (out_option("one record per person (JSON Lines)"), json_option))
+comparison_files = together(
+    "files", ComparisonFiles,
+    (
+        baseline_option,
+        out_option("one record per person (JSON Lines)"), json_option,
+    ),
+)  # fmt: skip
 
 
 @click.group()

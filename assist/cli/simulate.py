@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -13,12 +13,15 @@ from planner.system.files import write_records
 from planner.system.limits import processors
 from planner.system.progress import stages
 
-from .options.common import OUTPUT_FILE, jobs_option, json_option, out_option, separate_files, together
+from .options.common import OUTPUT_FILE, baseline_option, jobs_option, json_option, out_option, separate_files, together
 from .options.goals import check_questions
 from .options.help import command
-from .options.policies import policies_of, policy_errors
+from .options.policies import baseline_among, policies_of, policy_errors
 from .options.team import TeamOptions, team_of, team_options
 from .terminal.console import kept_if_interrupted, print_json
+
+if TYPE_CHECKING:
+    from ..studies.reports.compared_policies import ComparedPolicy
 
 
 class Written(NamedTuple):
@@ -26,16 +29,15 @@ class Written(NamedTuple):
 
     out: Path | None
     trace: Path | None
-    reasons: bool
     figure: Path | None
 
-    def require(self, inputs: Mapping[str, Path | None]) -> None:
-        """Refuse files that are not apart from each other and the inputs, and options that lack another."""
+    def require(self, inputs: Mapping[str, Path | None], *, reasons: bool) -> None:
+        """Refuse files that are not apart from each other and the inputs, and reasons without a trace."""
         from ..drawing.plots import style
 
         separate_files({"--out": self.out, "--trace": self.trace, "--figure": self.figure}, inputs)
-        if self.reasons and self.trace is None:
-            raise click.UsageError("--reasons: expected --trace, too")
+        if reasons and self.trace is None:
+            raise click.UsageError("reasons: expected --trace, too")
         if self.figure:
             style.require()
             if self.figure.suffix not in style.FORMATS:
@@ -48,7 +50,6 @@ written_options = together(
     (
         out_option("one record per episode (JSON Lines)"),
         click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines)."),
-        click.option("--reasons", is_flag=True, help="Explain each suggestion in the trace."),
         click.option(
             "--figure", type=OUTPUT_FILE, help="Plot an episode that the last policy shortened (.png, .svg)."
         ),
@@ -62,13 +63,15 @@ written_options = together(
     "--pool", "size", type=click.IntRange(min=1),
     help="Number of people from whom teams are drawn.  [default: 12, or K if larger]",
 )  # fmt: skip
+@baseline_option
 @written_options
 @jobs_option
 @team_options
 @json_option
 def simulate(
-    team: TeamOptions, files: Written, episodes: int, size: int | None, jobs: int | None, as_json: bool
-) -> None:
+    team: TeamOptions, files: Written, episodes: int, size: int | None, baseline: str | None, jobs: int | None,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Simulate a team of people and a robot that assists them, and compare policies."""
     from ..declare.declared import plain
     from ..drawing.plots import style
@@ -93,9 +96,10 @@ def simulate(
             raise click.UsageError(f"--policy rollout {unclear}, or another policy, such as priority")
         if team.problems and setting.goal_knowledge == "likeliest":
             raise click.UsageError("goal_knowledge likeliest with observation: expected inferred or known")
-    files.require(team.given.files())
+    files.require(team.given.files(), reasons=setting.reasons)
     with policy_errors():
         policies, results = policies_of(team.policy), list[Episodes]()
+        base = baseline_among(policies, baseline)
         goals = team.goals()
         made = team_of(team, size, goals)
         options: dict[str, Any] = {
@@ -103,11 +107,12 @@ def simulate(
         }  # fmt: skip
         steps: list[Any] = []
         kept: dict[str, Any] = {"trace": steps if files.trace else None, "memory_limit_mb": setting.memory_limit}
-        kept["reasons"] = TraceReasons(made.pool.policies, made.known) if files.reasons else None
+        kept["reasons"] = TraceReasons(made.pool.policies, made.known) if setting.reasons else None
         ready = {name: made.prepared(one) for name, one in policies.items()}
         with kept_if_interrupted(lambda: results):
             for name, one in ready.items():
                 written = len(steps)
+                made.require_no_memory(one, humans)
                 try:
                     with stages() as show:
                         kept |= {"episodes": episodes, "name": name, "progress": show}
@@ -126,14 +131,24 @@ def simulate(
         write_records(files.out, (episode.record() for result in results for episode in result))
     if files.trace:
         write_records(files.trace, steps)
-    summaries, drawn = [result.summary() for result in results], len(set(results[0].people.ravel().tolist()))
+    base = base if base in [result.policy for result in results] else results[0].policy  # which an interrupt left out
+    compared, drawn = comparison_of(results, baseline=base), len(set(results[0].people.ravel().tolist()))
     if as_json:
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": humans,
             "pool": size, "drawn": drawn, "episodes": episodes, "seed": seed,
             "setting": plain(made.pool.setting), "population": plain(made.population),
             **({"goals": dict(goals.prior), "goal_knowledge": setting.goal_knowledge} if goals else {}),
-            "policies": [plain_summary(summary) for summary in summaries], "versions": versions(),
+            "baseline": base, "policies": [plain_summary(one.summary) | _difference(one) for one in compared],
+            "versions": versions(),
         })  # fmt: skip
     else:
-        show_comparison(comparison_of(results), drawn, size)
+        show_comparison(compared, drawn, size)
+
+
+def _difference(one: ComparedPolicy) -> dict[str, Any]:
+    """Return a policy's differences to the baseline as plain data, named as its means."""
+    from ..team.episode import SHOWN
+
+    found = one.differences
+    return {"differences": found and {SHOWN[name]: estimate.record() for name, estimate in found.items()}}

@@ -11,7 +11,7 @@ from rich.table import Table
 from planner.system.limits import processors
 from planner.system.progress import stages
 
-from .options.common import jobs_option, json_option, out_option, resume_option, scheduler_option
+from .options.common import baseline_option, jobs_option, json_option, out_option, resume_option, scheduler_option
 from .options.help import command
 from .terminal.console import ExitCode, fail, one_line_errors, print_json, print_table
 
@@ -27,14 +27,16 @@ from .terminal.console import ExitCode, fail, one_line_errors, print_json, print
     metavar="N",
     help="Number of pools of people. The protocol's own number unless given.",
 )
+@baseline_option
 @jobs_option
 @scheduler_option
 @out_option("a folder for episodes, summary, figures and report", folder=True, required=True)
 @resume_option
 @json_option
 def study(
-    protocol: str, repeats: int | None, jobs: int | None, scheduler: str | None, out: Path, resume: bool, as_json: bool
-) -> None:
+    protocol: str, repeats: int | None, baseline: str | None, jobs: int | None, scheduler: str | None, out: Path,
+    resume: bool, as_json: bool,
+) -> None:  # fmt: skip
     """Run a simulation study over pools of people, teams, policies and conditions, and write its report.
 
     The default protocol is the study of section V of the paper.
@@ -51,7 +53,7 @@ def study(
     with one_line_errors("interrupted; finished parts are saved, --resume continues"):
         require()
         try:
-            planned = read(protocol, repeats=repeats)
+            planned = read(protocol, repeats=repeats, baseline=baseline)
             with stages() as show:
                 check(planned, show)
                 failed = run_study(

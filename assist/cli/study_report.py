@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from .options.common import json_option, out_option
+from .options.common import baseline_option, json_option, out_option
 from .options.help import command
 from .terminal.console import ExitCode, fail, print_json, print_table
 
@@ -15,8 +15,9 @@ from .terminal.console import ExitCode, fail, print_json, print_table
 @command("study-report data", "study-report")
 @click.argument("place", metavar="DIR|FILE.zip", type=click.Path(exists=True, path_type=Path))
 @out_option("a folder; `report` within DIR, or FILE-report beside FILE.zip, unless given", folder=True)
+@baseline_option
 @json_option
-def study_report(place: Path, out: Path | None, as_json: bool) -> None:
+def study_report(place: Path, out: Path | None, baseline: str | None, as_json: bool) -> None:
     """Report on a user study: means, effects of conditions, questionnaires and dropouts.
 
     DIR is the folder of `serve --study ... --data DIR`, during the study or afterwards. FILE.zip is an export; DIR may
@@ -30,7 +31,7 @@ def study_report(place: Path, out: Path | None, as_json: bool) -> None:
     require()
     out = out or (place / REPORT if place.is_dir() else place.with_name(f"{place.stem}-{REPORT}"))
     try:
-        summary = write_report(place, out)
+        summary = write_report(place, out, baseline=baseline)
     except (InputFileError, OSError) as error:
         fail(str(error), ExitCode.FAILED)
     if as_json:

@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from planner.system.arrays import read_only
-from planner.system.errors import InputFileError
+from planner.system.errors import InputFileError, expected
 from planner.system.limits import Deadline
 from planner.system.results import Result
 
@@ -155,6 +155,22 @@ class Comparison(Result):
         corrected = iter(holm([row.p for row in rows if row.p is not None]))
         scores = [row if row.p is None else replace(row, p_corrected=next(corrected)) for row in rows]
         return cls(tuple(people), choices, level, tuple(scores))
+
+    def against(self, reference: str) -> Comparison:
+        """Return the comparison of the same predictions with another reference.
+
+        Raises
+        ------
+        ValueError
+            It is not among the models.
+        """
+        logs = {row.model: -row.of_people * self.choices for row in self.scores}
+        if reference not in logs:
+            raise ValueError(f"{reference!r}; {expected(reference, logs)}")
+        found = Comparison.of(
+            self.people, self.choices, logs, {row.model: row.parameters for row in self.scores}, reference, self.level
+        )
+        return replace(found, left_out=self.left_out)
 
     @property
     def best(self) -> Score:

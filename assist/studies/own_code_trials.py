@@ -24,7 +24,7 @@ from ..people.memory import remembered
 from ..people.ranges import Population
 from ..people.terms import Situation
 from ..people.trust_rules import Event, Feedback, TrustRule
-from ..people.user_code import UserChoiceModel
+from ..people.user_code import UserChoiceModel, UserCodeError
 from ..person.observation_model import ObservationModel
 from ..person.robots import Robot
 from ..person.settings import Setting
@@ -114,23 +114,49 @@ def of_policy(code: TeamPolicy, file: Path | None) -> Trials:
         yield what, partial(run, pool, humans)
 
     def alone() -> str | None:
-        drawn = Pool.sample(_table(TINY), 4, seed=0, progress=False)
-        again = partial(simulate, drawn, policy, humans=3, seed=0, progress=False)
-        together = again(episodes=MORE).discounted_return
-        if (together != again(episodes=MORE).discounted_return).any():
-            return (
-                "leads to other episodes when the same are simulated again; expected the same choice in the same "
-                "state, without memory of former calls and without random numbers"
-            )
-        parts = [again(episodes=range(first, first + MANY)).discounted_return for first in range(0, MORE, MANY)]
-        if (together != np.concatenate(parts)).any():
-            return (
-                "chooses otherwise for a team when other teams are simulated with it; expected each row by itself, "
-                "without memory of former calls, in which rows were other teams"
-            )
-        return None
+        return memory_of(policy, Pool.sample(_table(TINY), 4, seed=0, progress=False), 3)
 
     yield "each team by itself", alone
+
+
+def memory_of(policy: TeamPolicy, pool: Pool, humans: int, *, episodes: int = MORE, **conditions: Any) -> str | None:
+    """Return what is wrong with a policy that remembers former calls, or draws random numbers; None if nothing is.
+
+    Parameters
+    ----------
+    policy : callable
+    pool : Pool
+    humans : int
+        Number of people in the teams that are simulated, together and in parts.
+    episodes : int
+    **conditions
+        Further arguments of `simulate`.
+    """
+    again = partial(simulate, pool, policy, humans=humans, seed=0, progress=False, **conditions)
+    together = again(episodes=episodes).discounted_return
+    parts = [again(episodes=range(first, first + MANY)).discounted_return for first in range(0, episodes, MANY)]
+    if not (together != np.concatenate(parts)).any():
+        return None
+    if (together != again(episodes=episodes).discounted_return).any():
+        return (
+            "leads to other episodes when the same are simulated again; expected the same choice in the same state, "
+            "without memory of former calls and without random numbers"
+        )
+    return (
+        "chooses otherwise for a team when other teams are simulated with it; expected each row by itself, without "
+        "memory of former calls, in which rows were other teams"
+    )
+
+
+def require_no_memory(policy: UserPolicy, pool: Pool, humans: int, **conditions: Any) -> None:
+    """Refuse a policy that remembers former calls: what is simulated with it would depend on which teams were together.
+
+    Raises
+    ------
+    UserCodeError
+    """
+    if (fault := memory_of(policy, pool, humans, episodes=3 * MANY, **conditions)) is not None:
+        raise UserCodeError(f"{policy.place}: {policy.name} {fault}")
 
 
 def of_people(code: Callable[..., Floats], file: Path | None) -> Trials:

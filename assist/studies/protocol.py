@@ -28,6 +28,7 @@ from ..declare.declared import (
 )
 from ..declare.tables import convert, fault, label, load, located, replaced
 from ..people.ranges import Population
+from ..people.user_code import parse
 from ..person.settings import Setting
 from ..team.policy_names import POLICIES
 from .plan_tables import among, different, own_policy, population, tasks
@@ -59,6 +60,7 @@ class StudyTable(StudyPlan):
     humans: Counts = (1, 2, 3, 4, 5, 6)
     policies: Texts = ("none", "reactive", "attention")
     focus: Text | None = None
+    baseline: Text | None = None
     setting: AnyTable = field(default_factory=dict)
     populations: dict[str, AnyTable] = field(default_factory=dict)
     conditions: tuple[ConditionTable, ...] | None = None
@@ -82,7 +84,7 @@ def study_of(study: Study | str | Path) -> Study:
     return study if isinstance(study, Study) else read(study)
 
 
-def read(study: str | Path, *, repeats: int | None = None) -> Study:
+def read(study: str | Path, *, repeats: int | None = None, baseline: str | None = None) -> Study:
     """Read a study from a file, or a bundled one by name.
 
     Parameters
@@ -91,6 +93,8 @@ def read(study: str | Path, *, repeats: int | None = None) -> Study:
         Paths in the file are relative to its folder.
     repeats : int, optional
         Replaces the study's own number of repeats.
+    baseline : str, optional
+        Replaces the study's own baseline.
 
     Raises
     ------
@@ -105,8 +109,9 @@ def read(study: str | Path, *, repeats: int | None = None) -> Study:
             )
         file = PROTOCOLS / f"{study}.toml"
     with located(file):
-        found = Reader(file, convert(load(file), StudyTable, file)).study()
-    return found if repeats is None else replace(found, repeats=repeats)
+        table = convert(load(file), StudyTable, file)
+        table = replace(table, repeats=repeats or table.repeats, baseline=baseline or table.baseline)
+        return Reader(file, table).study()
 
 
 @dataclass(frozen=True)
@@ -141,17 +146,19 @@ class Reader:
             for number, own in enumerate(tables, start=1)
         ]
         first = conditions[0]
-        focus = table.focus or ("attention" if "attention" in first.policies else first.policies[-1])
-        among(self.file, "focus", (focus,), first.policies)
+        usual = "attention" if "attention" in first.policies else first.policies[-1]
+        focus = self._one_of("focus", table.focus or usual, first.policies)
+        others = tuple(name for name in first.policies if name != focus)
+        baseline = None if table.baseline is None else self._one_of("baseline", table.baseline, others)
         for number, own in enumerate(table.contrasts, start=1):
             among(self.file, f"contrasts[{number}].of", own.of, people)
             among(self.file, f"contrasts[{number}].to", own.to, people)
         self._check_reference(people, first)
         return Study(
             **{name: getattr(table, name) for name in names_of(StudyPlan)}, file=self.file,
-            title=table.title or self.file.stem, focus=focus, populations=tuple(people.items()), instances=instances,
-            own_policies=tuple(self.own.items()), conditions=tuple(conditions), contrasts=table.contrasts,
-            reference=table.reference,
+            title=table.title or self.file.stem, focus=focus, baseline=baseline, populations=tuple(people.items()),
+            instances=instances, own_policies=tuple(self.own.items()), conditions=tuple(conditions),
+            contrasts=table.contrasts, reference=table.reference,
         )  # fmt: skip
 
     def _condition(
@@ -198,6 +205,12 @@ class Reader:
                 raise fault(self.file, place, message)
             names.append(function)
         return tuple(names)
+
+    def _one_of(self, place: str, given: str, known: tuple[str, ...]) -> str:
+        """Return the name of one of some policies, which may be given as FILE.py:FUNCTION."""
+        own = parse(given, self.file.parent)
+        name = given if own is None or own not in self.own.values() else own[1]
+        return among(self.file, place, (name,), known)[0]
 
     def _check_reference(self, people: Iterable[str], first: Condition) -> None:
         """Check the names in the reference."""

@@ -26,6 +26,7 @@ from ..declare.declared import AnyText, Count, Expected, Number, Seed, Text, Tex
 from ..people.ranges import Population
 from ..people.user_code import UserChoiceModel
 from ..person.settings import Setting
+from ..team.policy_names import BASELINES
 
 SCHEMA = 1
 """Version of the format of `episodes.jsonl` and `summary.json`."""
@@ -35,6 +36,7 @@ IRRELEVANT = {
     "title",
     "repeats",
     "focus",
+    "baseline",
     "contrasts",
     "reference",
 }  # for the episodes
@@ -193,6 +195,8 @@ class Study(StudyPlan):
     title : str
     focus : str
         The policy that is compared with the others.
+    baseline : str or None
+        The policy that all are compared with; None: those of `policy_names.BASELINES`.
     populations : tuple of pairs
         Names and populations.
     instances : tuple of pairs
@@ -208,6 +212,7 @@ class Study(StudyPlan):
     file: Path
     title: str
     focus: str
+    baseline: str | None
     populations: tuple[tuple[str, Population], ...]
     instances: tuple[tuple[str, Instance], ...]
     own_policies: tuple[tuple[str, tuple[Path, str]], ...]
@@ -218,6 +223,17 @@ class Study(StudyPlan):
     def __repr__(self) -> str:
         cells = list(self.cells())
         return f"<Study {self.title!r}: {len(cells):,} pools, {sum(map(self.episodes, cells)):,} episodes>"
+
+    @property
+    def baselines(self) -> tuple[str, ...]:
+        """The policies that all others are compared with."""
+        return BASELINES if self.baseline is None else (self.baseline,)
+
+    def compared_with(self, policy: str) -> tuple[str, ...]:
+        """Return the policies with which a policy is compared: the focus with all, unless the study has a baseline."""
+        if policy == self.focus and self.baseline is None:
+            return tuple(name for name in self.conditions[0].policies if name != policy)
+        return () if policy in self.baselines else self.baselines
 
     def condition(self, name: str) -> Condition:
         """Return the condition of this name."""

@@ -6,10 +6,11 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
-from ..declare.declared import AnyNumber, AnyText, Seldom, Truth, View, Whole, declared
+from ..declare.declared import AnyNumber, AnyText, Truth, View, Whole, declared
 from ..live.contrast import Contrast
 from ..live.explanation import WhyNothing, WhyPerson, WhyStep
-from ..live.views import MemberView, Outlook, PersonView
+from ..live.views import MemberView, Outlook
+from ..studies.userstudy.views import ParticipantView
 
 
 class Problem(BaseModel):
@@ -95,36 +96,12 @@ class Member(MemberView):
     join: AnyText
 
 
-@declared
-class Waiting(View):
-    """How many participants wait for a group, and how many a group has."""
-
-    here: Whole
-    of: Whole
-
-
 @declared(kw_only=True)
-class Progress(View):
-    """A participant's progress: the present task or questionnaire (`what`), with its questions in their order."""
-
-    kind: AnyText
-    stage: AnyText
-    what: AnyText
-    number: Whole
-    of: Whole
-    over: Annotated[Truth, Field(description="Whether the task is over.")]
-    completion: AnyText | None
-    items: tuple[AnyText, ...]
-    waiting: Annotated[Waiting | None, Seldom(), Field(description="While the participant waits for a group.")] = None
-
-
-@declared(kw_only=True)
-class Attending(PersonView):
+class Attending(ParticipantView):
     """A participant of a user study as the operator sees them: their progress, without beliefs."""
 
     status: AnyText
     condition: AnyText | None = None
-    study: Progress
     connected: Truth
     simulated: Truth
     join: AnyText

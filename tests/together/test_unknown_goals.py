@@ -514,7 +514,7 @@ def test_the_command(tmp_path: Path) -> None:
             ["--set", "goal_knowledge=likeliest", "--set", "observation.confusion=0.1"],
             "likeliest with observation: expected inferred or k",
         ),
-        (["--reasons"], "--reasons: expected --trace, too"),
+        (["--set", "reasons=true"], "reasons: expected --trace, too"),
     ):
         result = invoke(*given, *options)
         assert (result.exit_code, message in " ".join(result.stderr.split())) == (2, True)

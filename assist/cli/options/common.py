@@ -153,6 +153,7 @@ seed_option = click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed."
 )  # fmt: skip
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+baseline_option = click.option("--baseline", metavar="NAME", help="Which of those compared differences refer to.")
 figures_option = click.option("--figures", type=OUTPUT_FOLDER, help="Folder for figures.")
 
 

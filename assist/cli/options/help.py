@@ -27,11 +27,11 @@ GROUPS = {
         "--trusted-proxy", "--bridge", "--data", "--log-format",
     ),
     "Run": (
-        "--episodes", "--value-episodes", "--episode", "--repeats", "--samples", "--gap", "--time-limit",
+        "--episodes", "--value-episodes", "--episode", "--repeats", "--baseline", "--samples", "--gap", "--time-limit",
         "--memory-limit", "--verify", "--most-values", "--jobs", "--scheduler", "--resume", "--seed",
     ),
     "Output": (
-        "--out", "--write-population", "--size-limit", "--leaves", "--trace", "--reasons", "--figure", "--figures",
+        "--out", "--write-population", "--size-limit", "--leaves", "--trace", "--figure", "--figures",
         "--width", "--json", "--help",
     ),
 }  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +64,17 @@ def policies_of(names: tuple[str, ...]) -> dict[str, str | UserPolicy]:
             raise click.UsageError(f"--policy {name}: there is already a policy '{called}'; expected another name")
         found[called] = name if place is None else UserPolicy.load(*place)
     return found
+
+
+def baseline_among(policies: Iterable[str], given: str | None) -> str:
+    """Return the policy that differences refer to; the given one may be FILE.py:FUNCTION."""
+    from ...studies.reports.compared_policies import baseline_of
+
+    place = None if given is None else parse(given)
+    try:
+        return baseline_of(policies, given if place is None else place[1])
+    except ValueError as error:
+        raise click.UsageError(f"--{error}") from None
 
 
 @contextmanager

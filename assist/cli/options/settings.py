@@ -161,6 +161,7 @@ class TeamSetting(TaskSetting):
         Population, BeforeValidator(_population), Usual("FILE"), Beside(), Expected(FILE), Field(description=PEOPLE)
     ] = Population()
     distances: Distances = None
+    reasons: Annotated[Truth, Field(description="Whether --trace explains each suggestion.")] = False
     prior: Annotated[
         Population | None, BeforeValidator(_population), Beside(), Expected(FILE), Field(description=PRIOR)
     ] = None

@@ -59,8 +59,9 @@ def rules_compared(
 
 
 class ComparisonFiles(NamedTuple):
-    """Where a comparison is written, and whether it is printed as JSON."""
+    """What the others are compared with, where a comparison is written, and whether it is printed as JSON."""
 
+    baseline: str | None
     out: Path | None
     as_json: bool
 
@@ -69,6 +70,11 @@ def show_comparison(compared: Comparison, files: ComparisonFiles, figures: Path 
     """Write and print a comparison."""
     from ...drawing.plots import people as pictures
 
+    if files.baseline is not None:
+        try:
+            compared = compared.against(files.baseline)
+        except ValueError as error:
+            raise click.UsageError(f"--baseline {error}") from None
     if files.out:
         write_records(files.out, compared.of_people())
     if figures:

@@ -19,7 +19,6 @@ from planner.system.workers import outcomes
 
 from ...declare.declared import plain, sentences
 from ...drawing.plots import style
-from ...team.policy_names import BASELINES
 from ..protocol import study_of
 from ..runner import load_study
 from ..statistics import FEW
@@ -244,16 +243,20 @@ def _by_arm(head: list[str], rows: Sequence[Record], cells: Callable[[Record], l
 
 
 def _effects(study: Study, summary: Record) -> str:
+    """Return the table of the focus's comparisons over all team sizes; with a baseline, of all policies."""
     rows = [
         row
         for row in summary["comparisons"]
-        if row["condition"] == study.conditions[0].name and row["humans"] is None and row["policy"] == study.focus
-    ]
+        if row["condition"] == study.conditions[0].name and row["humans"] is None
+        and (row["policy"] == study.focus or study.baseline is not None)
+    ]  # fmt: skip
+    of_all = study.baseline is not None
     return _by_arm(
-        ["measure", "against", "effect size", "pools with a lower value"],
+        ["measure", "against", *["policy"] * of_all, "saves, %", "effect size", "pools with a lower value"],
         rows,
         lambda r: [
-            r["measure"], r["against"], number(r["effect"], "-"), f"{100 * r['pools_better']:.0f} % of {r['pools']}"
+            r["measure"], r["against"], *[r["policy"]] * of_all, interval(r), number(r["effect"], "-"),
+            f"{100 * r['pools_better']:.0f} % of {r['pools']}",
         ],
     )  # fmt: skip
 
@@ -319,7 +322,7 @@ def _sensitivity(found: Found, summary: Record) -> str:
     rows = [
         row
         for row in summary["comparisons"]
-        if row["humans"] is None and row["policy"] not in BASELINES
+        if row["humans"] is None and row["against"] in found.study.baselines
         and (row["population"] == found.main["population"] or row["population"] not in kinds)
     ]  # fmt: skip
     if len({tuple(row[name] for name in (*ARM, "policy") if name != "instance") for row in rows}) < 2:

@@ -140,11 +140,9 @@ class Found:
         }  # fmt: skip
 
     def _savings(self, pools: pd.DataFrame) -> dict[str, Any]:
-        focus = self.study.focus
-        others = [name for name in self.study.conditions[0].policies if name != focus]
-        found = {}
+        focus, found = self.study.focus, {}
         for measure in self.compared:
-            for other in others:
+            for other in self.study.compared_with(focus):
                 estimate = saving(pools, measure, focus, other)
                 if math.isfinite(estimate.value):
                     found[f"{measure}_vs_{other.replace('-', '_')}"] = estimate.record()
@@ -175,18 +173,16 @@ class Found:
             pools = self.with_baselines(arm, own)
             present = set(pools["policy"])
             sizes = sorted(own["humans"].unique()) if self.main.items() <= arm.items() else []
-            for humans in (None, *sizes):
-                part = pools if humans is None else pools[pools["humans"] == humans]
+            for humans in (None, *map(int, sizes)):
                 for policy in dict.fromkeys(own["policy"]):
-                    for against in [name for name in BASELINES if name in present and policy not in BASELINES]:
+                    for against in [one for one in self.study.compared_with(policy) if one in present]:
+                        named = {"humans": humans, "policy": policy, "against": against}
+                        cut_off = max(float(ends.mean()) for ends in _paired(pools, humans, "cut_off", policy, against))
                         for measure in self.compared:
-                            named = {
-                                "humans": None if humans is None else int(humans), "policy": policy,
-                                "against": against, "measure": measure,
-                            }  # fmt: skip
-                            found += [
-                                {**arm, **named, **record} for record in _compared(part, measure, policy, against)
-                            ]
+                            ends = _paired(pools, humans, measure, policy, against)
+                            for record in _compared(*ends):
+                                record |= {"cut_off_percent": 100 * cut_off, "pools": len(ends[0])}
+                                found.append({**arm, **named, "measure": measure, **record})
         return found
 
     def seldom_assisted(self) -> list[dict[str, Any]]:
@@ -207,15 +203,9 @@ class Found:
         focus = self.study.focus
         for arm, own in self.arms(condition=self.main["condition"]):
             sizes = sorted(own["humans"].unique())
-            for against in [name for name in BASELINES if name in set(own["policy"]) and name != focus]:
+            for against in [name for name in self.study.baselines if name in set(own["policy"]) and name != focus]:
                 for measure in self.compared:
-                    ends = [
-                        paired(own[own["humans"] == size], measure, focus, against) for size in (sizes[0], sizes[-1])
-                    ]
-                    # Without assistance the team does not matter, so that all sizes give the more precise baseline.
-                    if against == "none":
-                        alone = paired(own, measure, against, against)[0]
-                        ends = [(mine, alone) for mine, _ in ends]
+                    ends = [_paired(own, size, measure, focus, against) for size in (sizes[0], sizes[-1])]
                     estimate = statistics.change(ends[0], ends[1], np.random.default_rng(SEED))
                     if math.isfinite(estimate.value) and len(sizes) > 1:
                         found.append({
@@ -314,17 +304,21 @@ def saving(pools: pd.DataFrame, measure: str, policy: str, against: str) -> Inte
     return statistics.saving(mine, other, np.random.default_rng(SEED))
 
 
-def _compared(pools: pd.DataFrame, measure: str, policy: str, against: str) -> Iterator[dict[str, Any]]:
-    mine, other = paired(pools, measure, policy, against)
+def _paired(pools: pd.DataFrame, humans: int | None, measure: str, policy: str, against: str) -> tuple[Any, Any]:
+    """Return what `paired` does for teams of one size; None: of all sizes.
+
+    Without assistance the team does not matter, so that all sizes give the more precise baseline.
+    """
+    own = pools if humans is None else pools[pools["humans"] == humans]
+    mine, other = paired(own, measure, policy, against)
+    return mine, paired(pools, measure, against, against)[0] if against == "none" else other
+
+
+def _compared(mine: Any, other: Any) -> Iterator[dict[str, Any]]:
     estimate = statistics.saving(mine, other, np.random.default_rng(SEED))
     if math.isfinite(estimate.value):  # undefined if the baseline is 0
-        yield {
-            **estimate.record(),
-            "effect": finite(statistics.effect(other - mine)),
-            "pools_better": float((mine < other).mean()),
-            "cut_off_percent": 100 * max(float(ends.mean()) for ends in paired(pools, "cut_off", policy, against)),
-            "pools": len(mine),
-        }
+        effect, better = finite(statistics.effect(other - mine)), float((mine < other).mean())
+        yield {**estimate.record(), "effect": effect, "pools_better": better}
 
 
 def average(pools: pd.DataFrame, measure: str, policy: str) -> IntervalEstimate:

@@ -7,7 +7,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -20,6 +20,7 @@ from ...drawing.plots import style
 from ...drawing.plots import userstudy as draw
 from ...live.store import stored
 from ...person.settings import Setting
+from ..plan_tables import among
 from ..statistics import FEW
 from ..userstudy.csv_tables import rows
 from ..userstudy.plan import UserStudy, UserStudyPlan
@@ -80,7 +81,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
     return study, Tables(**{name: list(rows(folder / f"{name}.csv", columns)) for name, columns in COLUMNS.items()})
 
 
-def write_report(place: Path, out: Path) -> dict[str, Any]:
+def write_report(place: Path, out: Path, *, baseline: str | None = None) -> dict[str, Any]:
     """Write the report of a study; return its numbers.
 
     It is written again if somebody has withdrawn or was erased meanwhile.
@@ -90,6 +91,9 @@ def write_report(place: Path, out: Path) -> dict[str, Any]:
     place : Path
         Folder of the study, or an export of it, as a ZIP file or unpacked.
     out : Path
+    baseline : str, optional
+        The condition with which the others are compared, in place of the study's reference. All comparisons are then
+        exploratory.
 
     Raises
     ------
@@ -99,7 +103,7 @@ def write_report(place: Path, out: Path) -> dict[str, Any]:
     with unpacked(place) as folder:
         while True:
             before = _removed(folder)
-            summary = _written(folder, out)
+            summary = _written(folder, out, baseline)
             if _removed(folder) == before:
                 return summary
 
@@ -110,8 +114,11 @@ def _removed(folder: Path) -> int:
     return sum(at is None for at, _ in stored(file)[1]) if file.exists() else 0
 
 
-def _written(folder: Path, out: Path) -> dict[str, Any]:
+def _written(folder: Path, out: Path, baseline: str | None) -> dict[str, Any]:
     study, found = of_folder(folder)
+    if baseline not in (None, study.reference):
+        among(study.file, "baseline", (str(baseline),), [one.name for one in study.conditions])
+        study = replace(study, reference=baseline, confirmatory=())
     found = found.analysed()
     summary = summarise(study, found) | {"preregistration": compared(study, found, folder)}
     pictures = dict(_pictures(study, found, summary))

@@ -30,6 +30,7 @@ from .plan import WAITING, UserStudy
 from .record import StudyRecord
 from .roll import DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
 from .teams import Facts, Teams
+from .views import Progress, Waiting
 
 
 class Cohort(Teams, History[StudyRecord]):
@@ -242,15 +243,16 @@ class Cohort(Teams, History[StudyRecord]):
             # Why nothing is suggested would reveal the condition.
             seen["explained"] = reasons and seen["suggestion"] is not None
         kind = stage.kind if here else who.status
-        study = {
-            "kind": kind, "stage": stage.name, "what": stage.what, "number": who.at + 1, "of": len(self.stages),
-            "over": over, "completion": who.completion, "items": [item.name for item in self.items(who)],
-        }  # fmt: skip
+        waiting = None
         if kind == WAITING and self.study.group is not None:
-            waiting, expected = self.company(who)
-            study["waiting"] = {"here": len(waiting), "of": expected}
+            others, expected = self.company(who)
+            waiting = Waiting(here=len(others), of=expected)
+        study = Progress(
+            kind=kind, stage=stage.name, what=stage.what, number=who.at + 1, of=len(self.stages), over=over,
+            completion=who.completion, items=tuple(item.name for item in self.items(who)), waiting=waiting,
+        )  # fmt: skip
         # The removal of records moves the last event of a participant before views that were sent.
-        return seen | {"seq": self.count if who.removed else who.seq, "study": study}
+        return seen | {"seq": self.count if who.removed else who.seq, "study": study.as_dict()}
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
         """Return a function that explains a participant's suggestion, as `Team.explain_later` does.

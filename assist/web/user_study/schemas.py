@@ -6,9 +6,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ...declare.declared import declared
-from ...live.views import PersonView
-from ..schemas import Progress
+from ...studies.userstudy.views import Progress
 
 
 class Visit(BaseModel):
@@ -59,13 +57,6 @@ class Done(BaseModel):
     """The request has been carried out."""
 
     done: bool
-
-
-@declared(kw_only=True)
-class Participant(PersonView):
-    """A participant's view: the task, if there is one, and the progress."""
-
-    study: Progress
 
 
 class Seat(BaseModel):

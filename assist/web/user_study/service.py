@@ -21,11 +21,11 @@ from ...studies.userstudy.events import Elapsed, Expired, Left, Returned, StudyE
 from ...studies.userstudy.plan import WAITING
 from ...studies.userstudy.roll import HERE
 from ...studies.userstudy.session import StudySession
+from ...studies.userstudy.views import ParticipantView
 from ..request_limits import Allowance
 from ..service import Erasure, Service
 from ..tokens import VISITOR, AccessTokens, secret_in
 from ..watchers import Watcher
-from .schemas import Participant
 
 PARTICIPANT = "participant "
 """Begins the ids of participants whom another system, such as a recruiting service, identifies."""
@@ -70,7 +70,7 @@ class StudyService(Service):
     """
 
     events: ClassVar[type[Event]] = StudyEvent
-    shown: ClassVar[Mapping[str, type[Any]]] = {"person": Participant, "robot": RobotView}
+    shown: ClassVar[Mapping[str, type[Any]]] = {"person": ParticipantView, "robot": RobotView}
 
     def __init__(
         self, session: StudySession, access: AccessTokens, *, ticks: bool = True, rehearsal: bool = False,

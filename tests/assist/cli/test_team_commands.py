@@ -54,6 +54,14 @@ silent.uses_belief = False
 
 def leaves(team):
     raise SystemExit(0)
+
+
+CALLS = []
+
+
+def remembers(team):  # suggests something in two of three calls
+    CALLS.append(team)
+    return team.act(team.active.argmax(axis=1), team.first_optimal() * (len(CALLS) % 3 > 0))
 """
 
 
@@ -90,11 +98,32 @@ def test_a_policy_of_ones_own_is_simulated_and_bounded_beside_others(own: Path, 
     first, silent, none = json.loads(result.stdout)["policies"]
     assert (first["policy"], silent["policy"]) == ("in_turn", "silent")
     assert first["interventions"]["mean"] > 2
-    assert {**silent, "policy": "none"} == none
+    assert set(silent.pop("differences")) == {"human_actions_per_person", "interventions", "return"}
+    assert {**silent, "policy": "none", "differences": None} == none
     assert len((tmp_path / "out.jsonl").read_text().splitlines()) == 120
     result = invoke("bound", *options, "--value-episodes", 500, "--time-limit", 0.5)
     assert result.exit_code == 0, result.output
     assert [c["policy"] for c in json.loads(result.stdout)["policies"]] == ["in_turn", "silent"]
+
+
+def test_differences_refer_to_any_of_the_policies(own: Path) -> None:
+    policies = ("--policy", "none", "--policy", "attention", "--policy", f"{own}:in_turn")
+    options = ("simulate", TINY, "--humans", 2, "--episodes", 30, *policies)
+    usual, other = (
+        json.loads(invoke(*options, *more, "--json").stdout) for more in ((), ("--baseline", f"{own}:in_turn"))
+    )
+    assert (usual["baseline"], other["baseline"]) == ("none", "in_turn")
+    none, attention, in_turn = other["policies"]
+    assert in_turn["differences"] is usual["policies"][0]["differences"] is None
+    for measure in ("human_actions_per_person", "interventions", "return"):
+        difference = none["differences"][measure]
+        assert difference["mean"] == pytest.approx(-usual["policies"][2]["differences"][measure]["mean"])
+        assert difference["low"] == pytest.approx(-usual["policies"][2]["differences"][measure]["high"])
+        means = attention[measure]["mean"] - in_turn[measure]["mean"]
+        assert attention["differences"][measure]["mean"] == pytest.approx(means)
+    assert "difference to attention" in invoke(*options, "--baseline", "attention").stdout
+    refused = invoke(*options, "--baseline", "attenton")
+    assert (refused.exit_code, "--baseline 'attenton'; did you mean 'attention'?" in refused.stderr) == (2, True)
 
 
 @pytest.mark.parametrize("command", ["simulate", "bound"])
@@ -118,6 +147,16 @@ def test_faults_of_own_policies_are_said_in_one_line(
     assert "Traceback" not in result.stderr
     if code == 1:
         assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", [("simulate",), ("bound", "--value-episodes", 50, "--gap", 0.5)])
+def test_a_policy_that_remembers_former_calls_is_refused(own: Path, command: tuple[object, ...]) -> None:
+    name, *options = command
+    result = invoke(name, TINY, "--humans", 2, "--policy", f"{own}:remembers", *options)
+    assert (result.exit_code, result.stdout) == (1, "")
+    said = result.stderr.splitlines()[-1]
+    assert "own.py:42: remembers " in said
+    assert "without memory of former calls" in said
 
 
 @pytest.mark.parametrize(

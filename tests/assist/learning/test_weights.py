@@ -228,6 +228,12 @@ def test_the_command_line_fits_and_compares(tmp_path: Path) -> None:
     done = invoke("compare", "models", KITTING / "paper-fixed.pddl", log, "--folds", 3, "--json")
     assert done.exit_code == 0
     assert len(json.loads(done.stdout)["people"]) == 6
+    scores = {one["model"]: one for one in json.loads(done.stdout)["models"]}
+    options = ("compare", "models", KITTING / "paper-fixed.pddl", log, "--folds", 3, "--json", "--baseline", "back")
+    back, boltzmann, *_ = json.loads(invoke(*options).stdout)["models"]
+    assert (back["model"], back["difference"], boltzmann["model"]) == ("back", None, "boltzmann")
+    assert boltzmann["difference"] == pytest.approx(-scores["back"]["difference"])
+    assert boltzmann["nats_per_choice"] == pytest.approx(scores["boltzmann"]["nats_per_choice"])
     shown = invoke("compare", "models", KITTING / "paper-fixed.pddl", log, "--figures", tmp_path)
     assert "boltzmann" in shown.stdout
     assert (tmp_path / "comparison.png").stat().st_size > 5000

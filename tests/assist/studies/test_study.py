@@ -174,6 +174,17 @@ def test_a_policy_that_fails_is_named_with_its_line_and_words(tmp_path: Path, bo
     assert "\n" not in str(caught.value)
 
 
+def test_a_policy_that_remembers_former_calls_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "CALLS = []\ndef third(team):\n    CALLS.append(team)\n"
+        "    return team.act(team.active.argmax(axis=1), team.first_optimal() * (len(CALLS) % 3 > 0))\n"
+    )
+    study = read(write(tmp_path, TINY.replace('policies = ["attention"]', 'policies = ["mine.py:third"]')))
+    cell = next(cell for cell in study.cells() if cell.condition == "dear")
+    with pytest.raises(UserCodeError, match=r"mine.py:2: third chooses otherwise .* without memory of former calls"):
+        carry_out(cell, study)
+
+
 def test_a_policy_that_fails_is_named_and_stops_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def faulty(team):\n    raise RuntimeError('out of ideas')\n")
     file = write(tmp_path, TINY.replace('policies = ["attention"]', 'policies = ["mine.py:faulty"]'))

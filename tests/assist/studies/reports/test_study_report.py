@@ -23,11 +23,12 @@ from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
 from assist.studies.protocol import read
 from assist.studies.reports.study_report import Report
-from assist.studies.reports.study_summary import Found, has_same_baseline
+from assist.studies.reports.study_summary import ARM, Found, has_same_baseline
 from assist.studies.runner import load_study, run_study
 from assist.studies.study import Study
 from assist.team.policy_names import BASELINES
 from planner import Instance, cost_to_go, load
+from planner.system.errors import InputFileError
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -69,6 +70,41 @@ def test_the_summary_is_computed_over_pools(small_study: tuple[Study, Path, dict
         assert headline[key]["low"] <= saved <= headline[key]["high"]
     found = Found(study, frame)
     assert found.summary() == printed
+
+
+def test_savings_by_team_size_differ_by_the_decline_that_is_reported(
+    small_study: tuple[Study, Path, dict],
+) -> None:
+    _, _, printed = small_study
+    for found in printed["decline"]:
+        small, large = (
+            next(
+                row["mean"] for row in printed["comparisons"]
+                if all(row[name] == found[name] for name in (*ARM, "policy", "against", "measure"))
+                and row["humans"] == humans
+            )
+            for humans in found["humans"]
+        )  # fmt: skip
+        assert found["mean"] == pytest.approx(small - large)
+    assert {row["against"] for row in printed["decline"]} == {"none", "reactive"}
+
+
+def test_a_study_has_another_baseline_and_the_focus_is_given_as_its_policy_is(
+    small_study: tuple[Study, Path, dict], tmp_path: Path
+) -> None:
+    study, out, printed = small_study
+    other = Report.of(read(study.file, baseline="reactive"), out)
+    assert other.summary["fingerprint"] == printed["fingerprint"]
+    assert {row["against"] for row in other.summary["comparisons"]} == {"reactive"}
+    arms = [row for row in other.summary["comparisons"] if row["condition"] == "first" and row["humans"] is None]
+    assert {row["policy"] for row in arms} == {"none", "attention"}
+    assert "| actions | reactive | none |" in other.text
+    assert not any(key.endswith("vs_none") for key in other.summary["headline"])
+    with pytest.raises(InputFileError, match="baseline: 'reactiv'; did you mean 'reactive'"):
+        read(study.file, baseline="reactiv")
+    (tmp_path / "mine.py").write_text("def own(team):\n    pass\n")
+    plan = TINY.replace("repeats = 3", 'repeats = 3\npolicies = ["none", "mine.py:own"]\nfocus = "mine.py:own"', 1)
+    assert read(write(tmp_path, plan)).focus == "own"
 
 
 def test_a_condition_without_baselines_borrows_them(small_study: tuple[Study, Path, dict]) -> None:
