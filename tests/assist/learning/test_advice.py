@@ -251,6 +251,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
     assert own.follows.tolist() == [False, True]
     assert (own.sequence.tolist(), own.first.tolist()) == ([0, 1], [True, False])
     assert own.confidence.tolist() == [0.2, 0.2]
+    assert [row["follows"] for row in own.records()] == [False, True]
     assert one.confidence == pytest.approx(0.6)  # 20 % for choice 1 is 80 % for choice 0
     assert len(read_advice(write(file, ROW, LATER, OTHER))) == 3  # trials may be counted for each advisor
     file.write_text(write(file, ROW).read_text().replace(",", ";"))
@@ -288,7 +289,7 @@ TWICE = ("advice", "advice_confidence", "advice_confidence")
         ([ROW, LATER, ROW], {}, ":4: trial 2 of p1 is on line 2 already"),
         ([ROW], {"columns": TWICE[:1]}, ":1: 2 columns are called advice; expected one"),
         ([ROW], {"columns": TWICE[1:]}, ":1: 2 columns are called advice_confidence; expected one"),
-        ([ROW | {"advice_confidence": 70}], {"columns": TWICE[1:2]},
+        ([ROW | {"advice_confidence": 70}, LATER], {"columns": TWICE[1:2]},
          "advice_confidence is not used with confidences about the own choice"),
     ],
 )  # fmt: skip

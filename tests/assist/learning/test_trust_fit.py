@@ -301,6 +301,8 @@ def test_scores_are_paired_and_corrected() -> None:
     assert better.difference == pytest.approx(-0.025, abs=0.01)
     assert better.interval is not None
     assert better.interval[0] < better.difference < better.interval[1] < 0
+    more = logs | {"best": reference + rng.normal(1.0, 0.5, 50)}
+    assert Comparison.of(people, counts, more, {name: {} for name in more}, "constant").best.model == "best"
     few = {name: logs[name] for name in ("constant", "alike")}
     alike = Comparison.of(people, counts, few, {name: {} for name in few}, "constant")
     assert alike.as_dict()["best"] == "constant"
