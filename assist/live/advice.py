@@ -33,29 +33,20 @@ class Reason(View):
     ]
     moving: Annotated[AnyNumber, Field(description="Cost of going there, in cost units.")]
     score: Annotated[AnyNumber, Field(description="`saving` minus `moving`.")]
-    beta: Annotated[
-        AnyNumber,
-        Field(description=("Mean of the belief about the person's expertise.")),
-    ]
+    beta: Annotated[AnyNumber, Field(description="Mean of the belief about the person's expertise.")]
     beta_interval: Annotated[
-        tuple[AnyNumber, AnyNumber],
-        Field(description=("Interval that contains 90 % of the belief, and its mean.")),
+        tuple[AnyNumber, AnyNumber], Field(description="Interval that contains 90 % of the belief, and its mean.")
     ]
-    theta: Annotated[
-        AnyNumber,
-        Field(description=("Mean of the belief about the robot's influence on the person.")),
-    ]
+    theta: Annotated[AnyNumber, Field(description="Mean of the belief about the robot's influence on the person.")]
     theta_interval: Annotated[
-        tuple[AnyNumber, AnyNumber],
-        Field(description=("Interval that contains 90 % of the belief, and its mean.")),
+        tuple[AnyNumber, AnyNumber], Field(description="Interval that contains 90 % of the belief, and its mean.")
     ]
     suggestions: Annotated[
         Whole, Field(description="Number of suggestions that the person has answered in this task.")
     ] = 0
     followed: Annotated[Whole, Field(description="Number of those that were followed.")] = 0
     follow: Annotated[
-        AnyNumber,
-        Field(description=("Probability that the person follows this suggestion, under the belief.")),
+        AnyNumber, Field(description="Probability that the person follows this suggestion, under the belief.")
     ] = 0.0
     follow_interval: Annotated[
         tuple[AnyNumber, AnyNumber],
@@ -69,7 +60,7 @@ class Reason(View):
     goals: Annotated[
         dict[str, AnyNumber],
         Seldom(),
-        Field(description=("Probability of each goal, if the person pursues one of several.")),
+        Field(description="Probability of each goal, if the person pursues one of several."),
     ] = field(default_factory=dict, hash=False)
 
 
@@ -80,11 +71,11 @@ class Question(View):
     person: Annotated[AnyText, Field(description="Who is asked.")]
     goal: Annotated[
         AnyText | None,
-        Field(description=('The robot asks "is this your goal?"; None if it asks "what did you do last?".')),
+        Field(description='The robot asks "is this your goal?"; None if it asks "what did you do last?".'),
     ]
     options: Annotated[
         tuple[AnyText, ...],
-        Field(description=("The actions that the person may have taken last, the most probable first.")),
+        Field(description="The actions that the person may have taken last, the most probable first."),
     ]
     worth: Annotated[AnyNumber, Field(description="Worth of the answer minus the cost of the question, in cost units.")]
 
@@ -99,8 +90,7 @@ class Advice(View):
     """The next step of the robot."""
 
     person: Annotated[
-        AnyText | None,
-        Field(description=("The person to whom the robot goes; None if no suggestion is worth its cost.")),
+        AnyText | None, Field(description="The person to whom the robot goes; None if no suggestion is worth its cost.")
     ]
     suggestion: Annotated[
         AnyText | None,

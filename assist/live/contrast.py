@@ -68,11 +68,11 @@ class Consequence(View):
     ] = False
     after: Annotated[
         tuple[AnyText, ...],
-        Field(description=("An optimal continuation after the alternative. It has `action` as early as possible.")),
+        Field(description="An optimal continuation after the alternative. It has `action` as early as possible."),
     ] = ()
     instead: Annotated[
         tuple[AnyText, ...],
-        Field(description=("An optimal continuation after the step. It has `action` as rarely as possible.")),
+        Field(description="An optimal continuation after the step. It has `action` as rarely as possible."),
     ] = ()
 
 
@@ -104,9 +104,7 @@ class Contrast(View):
     ]
     probability: Annotated[
         AnyNumber | None,
-        Field(
-            description=("How likely the person is to choose the alternative without a suggestion, if that is known.")
-        ),
+        Field(description="How likely the person is to choose the alternative without a suggestion, if that is known."),
     ] = None
 
 

@@ -51,8 +51,7 @@ class Desk(Knowledge):
         AbsentError
             There is no robot of this number.
         """
-        if not 1 <= number <= len(self._places.at):
-            raise AbsentError("other", why=f"robot {number}: expected a number from 1 to {len(self._places.at)}")
+        self._places.number(number)
 
     def require_task(self, name: str) -> None:
         """Check the name of a task.
@@ -115,10 +114,6 @@ class Desk(Knowledge):
             said = "nothing is suggested" if offer is None else f"{offer.action} is suggested"
             raise InapplicableError("other", why=f"followed is true and the action {action}, but {said}")
         return offer is None or seq is None or seq >= offer.number or followed is not None
-
-    def in_pddl(self, action: str | None) -> str | None:
-        """Return an action in PDDL notation."""
-        return None if action is None else in_pddl(action)
 
     @property
     def finished(self) -> bool:

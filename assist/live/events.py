@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field
 
 from ..declare.declared import Expected, Number, Truth, Whole
 from ..declare.refusals import InapplicableError, Refusal
+from ..people.action_names import in_pddl
 from .event_base import INTERNAL, Action, Event, Kept, Name, OfPerson, Seq, TeamEvent
 
 if TYPE_CHECKING:
@@ -158,7 +159,7 @@ class Acted(OfPerson):
         heard = desk.has_heard(self.person, self.action, self.followed, self.seq)
         seen = desk.seen_of(self.person, self.action, self.likelihoods, self.missed)
         shown = desk.shown_of(self.person, self.action, heard=heard, uncertain=bool(seen))
-        found = {"seq": None, "heard": heard, "action": desk.in_pddl(self.action), "shown": shown, **seen}
+        found = {"seq": None, "heard": heard, "action": self.action and in_pddl(self.action), "shown": shown, **seen}
         return self.model_copy(update=found)
 
     def change(self, desk: Desk, time: float) -> None:

@@ -25,8 +25,7 @@ class WhyStep(View):
 
     step: Annotated[AnyText, Field(description="In PDDL notation.")]
     alone: Annotated[
-        AnyNumber,
-        Field(description=("How likely the person is to choose it without a suggestion, under the belief.")),
+        AnyNumber, Field(description="How likely the person is to choose it without a suggestion, under the belief.")
     ]
     likely: Annotated[
         Contrast | None,
@@ -40,7 +39,7 @@ class WhyStep(View):
     goal: Annotated[
         AnyText | None,
         Seldom(),
-        Field(description=("The goal to which the comparisons refer, if the person pursues one of several.")),
+        Field(description="The goal to which the comparisons refer, if the person pursues one of several."),
     ] = None
     goal_probability: Annotated[AnyNumber, Seldom(), Field(description="How probable this goal is.")] = 1.0
 
@@ -99,8 +98,7 @@ class WhyPerson(View):
     here: Annotated[Truth, Field(description="Whether the robot was with the person before.")]
     arrived: Annotated[Truth, Field(description="Whether it is there.")]
     others: Annotated[
-        tuple[Prospect, ...],
-        Field(description=("The other people who could be helped, the largest score first.")),
+        tuple[Prospect, ...], Field(description="The other people who could be helped, the largest score first.")
     ]
     rule: Annotated[AnyText, Field(description="Name of the team's policy.")]
     saw: Annotated[Sight | None, Seldom(), Field(description="What the person saw last of a neighbour.")] = None
@@ -113,8 +111,7 @@ class WhyQuestion(View):
     person: Annotated[AnyText, Field(description="Who is asked.")]
     goal: Annotated[AnyText | None, Field(description="The goal that is asked about; None for the last action.")]
     worth: Annotated[
-        AnyNumber,
-        Field(description=("Expected worth of the answer minus the cost of the question, in cost units.")),
+        AnyNumber, Field(description="Expected worth of the answer minus the cost of the question, in cost units.")
     ]
 
 
@@ -134,15 +131,13 @@ class WhyNothing(View):
     exact: Annotated[
         Truth,
         Field(
-            description=("Whether the policy makes this suggestion exactly if its cost is below `prospect.threshold`.")
+            description="Whether the policy makes this suggestion exactly if its cost is below `prospect.threshold`."
         ),
     ] = False
     elsewhere: Annotated[Truth, Field(description="Whether the robot's attention is with another person.")] = False
     about: Annotated[AnyText | None, Field(description="Who is asked about; None for the whole team.")] = None
     question: Annotated[
-        WhyQuestion | None,
-        Seldom(),
-        Field(description=('The open question, if the reason is "asked".')),
+        WhyQuestion | None, Seldom(), Field(description='The open question, if the reason is "asked".')
     ] = None
 
 
@@ -151,15 +146,11 @@ class Explanation(View):
     """Why the robot suggests what it does, or nothing."""
 
     step: Annotated[WhyStep | None, Field(description="Why this step; None without a suggestion.")] = None
-    now: Annotated[
-        WhyPerson | None,
-        Field(description=("Why this person, now; None if no person is attended to.")),
-    ] = None
+    now: Annotated[WhyPerson | None, Field(description="Why this person, now; None if nobody is attended to.")] = None
     nothing: Annotated[WhyNothing | None, Field(description="Why nothing is suggested.")] = None
     against: Annotated[Contrast | None, Field(description="The step against an action that was asked about.")] = None
     words: Annotated[
-        Mapping[str, str],
-        Field(exclude=True, description=("Actions in the domain's own words, as far as it has them.")),
+        Mapping[str, str], Field(exclude=True, description="Actions in the domain's own words, as far as it has them.")
     ] = field(default_factory=dict, repr=False)
     state_probability: Annotated[
         AnyNumber,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..declare.refusals import Refusal
+from ..declare.refusals import AbsentError
 from ..people.decision import Floats
 from ..person.settings import Setting
 from ..person.travel import Travel
@@ -45,11 +45,11 @@ class RobotPlaces:
 
         Raises
         ------
-        Refusal
+        AbsentError
             There is no such robot.
         """
         if isinstance(robot, bool) or not isinstance(robot, int) or not 1 <= robot <= len(self.at):
-            raise Refusal("other", why=f"robot {robot!r}: expected a number from 1 to {len(self.at)}")
+            raise AbsentError("other", why=f"robot {robot!r}: expected a number from 1 to {len(self.at)}")
         return robot - 1
 
     def grow(self, people: int) -> None:

@@ -126,17 +126,12 @@ class Outlook(View):
 
     seq: Annotated[Whole, Field(description="Number of events.")]
     paused: Annotated[Truth, Field(description="Whether the robots make no suggestions at present.")]
-    fault: Annotated[
-        AnyText | None,
-        Field(description="The policy's error after the last event, if it failed."),
-    ]
+    fault: Annotated[AnyText | None, Field(description="The policy's error after the last event, if it failed.")]
     robots: Annotated[
         tuple[RobotView, ...],
         SkipValidation(),
         Field(description="Where each robot is to be, and its suggestion there."),
     ]
     log: Annotated[
-        tuple[dict[str, Any], ...],
-        SkipValidation(),
-        Field(description="The latest events, the oldest first."),
+        tuple[dict[str, Any], ...], SkipValidation(), Field(description="The latest events, the oldest first.")
     ]

@@ -113,8 +113,7 @@ class Team(Outlook):
 
     time: AnyNumber
     problems: Annotated[
-        tuple[AnyText, ...],
-        Field(description="What keeps events from being saved or delivered, as in `/api/health`."),
+        tuple[AnyText, ...], Field(description="What keeps events from being saved or delivered, as in `/api/health`.")
     ] = ()
     tasks: tuple[AnyText, ...]
     people: tuple[Member | Attending, ...]
