@@ -35,8 +35,8 @@ def truncated_prices(run: Computation, window: int | None) -> tuple[int, list[Su
 
 
 def _worth_prices(run: Computation) -> bool:
-    """Return whether prices are optimised: not if states need searches or memory is short."""
-    searches = any(policy.problem.searches for policy in run.policies)
+    """Return whether prices are optimised: not if states need searches, robots execute actions or memory is short."""
+    searches = run.pool.setting.fleet.executes or any(policy.problem.searches for policy in run.policies)
     return not searches and run.memory_limit_mb / len(run.policies) >= run.options.price_memory_mb
 
 

@@ -72,7 +72,9 @@ def policy(
             return
         (solution,) = solved
         if out is not None:
-            solution.save(out, values=first_of(problem.known).values(problem.states), task_states=problem.states)
+            solution.save(
+                out, values=first_of(problem.known).values(problem.states.clip(0)), task_states=problem.states
+            )
     frontier, too_high = problem.pomdp.frontier, None if solution.suggests else setting.c_suggest
     hidden = problem.pomdp.hidden
     record = {

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..people.arguments import check_costs
 from ..people.choice_model import boltzmann, value
+from ..people.choices import WAIT
 from ..people.decision import Floats
 from .assumptions import Assumptions
 from .pomdp import AssistPOMDP
@@ -32,24 +33,16 @@ def closed_problem(region: TruncatedTask, assumed: Assumptions | None = None) ->
     Raises
     ------
     ValueError
-        A number is out of its range, or the robot executes actions.
+        A number is out of its range.
     """
     assumed = assumed or Assumptions()
     check_costs(assumed.gamma)
-    require_no_execution(assumed)
+    region = region.for_robot(assumed.robot)
     if assumed.human is None and assumed.chooses is boltzmann:
         beyond = region.bounds(assumed)
     else:
         beyond = region.bounds_of_anybody(assumed)
     return assumed.problem(region.choices, replace(beyond, value=value_beyond(region, assumed)))
-
-
-def require_no_execution(assumed: Assumptions) -> None:
-    """Raise a `ValueError` if the robot executes actions, for which no bounds on a truncated task are proven."""
-    if assumed.robot.execute:
-        raise ValueError(
-            "execute: expected an enumerated task for bounds, as those of a truncated one count people's actions alone"
-        )
 
 
 def value_beyond(region: TruncatedTask, assumed: Assumptions) -> Floats | None:
@@ -61,7 +54,7 @@ def value_beyond(region: TruncatedTask, assumed: Assumptions) -> Floats | None:
         return None
     choices = region.choices
     best = choices.optimal if choices.offered is None else choices.offered
-    advised = best if assumed.suggestions == "optimal" else choices.applicable
+    advised = best if assumed.suggestions == "optimal" else choices.applicable & (choices.actions != WAIT)
     at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
     found = -choices.goals.h[:, region.frontier].T
     if len(at):

@@ -1,7 +1,7 @@
 """Bounds on the value of the states of a task that follow from the cost-to-go alone, with their proofs.
 
-`never_erring` is an upper bound for every person and robot, `advised` a lower one for a robot that suggests what is
-optimal, or nothing, in each step.
+`never_erring` is an upper bound for every person and robot, `never_erring_with_help` one for robots that also execute
+actions. `advised` is a lower one for a robot that suggests what is optimal, or nothing, in each step.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ..people.decision import Floats
 from .assumptions import Assumptions
 from .robots import NOTHING_DONE, SUGGESTION
 
+MOST_LEVELS = 10_000  # of h*, for which `never_erring_with_help` has a value
 SURVEYED = 10_000_000  # states of a table up to which `Survey` scans all transitions, to limit its time
 
 
@@ -50,6 +51,57 @@ def never_erring(h: Floats, costs: ArrayLike, gamma: float) -> Floats:
     """
     prices = np.append(costs, 1.0)  # a wait costs 1
     return np.asarray(prices.min() * np.expm1(h / prices.max() * np.log(gamma)) / (1 - gamma))
+
+
+def never_erring_with_help(
+    h: Floats, costs: ArrayLike, gamma: float, c_execute: float, step: float
+) -> tuple[Floats, Floats]:
+    """Return upper bounds on values for any person and any robot that may execute actions, both of shape (N,).
+
+    The second is for states in which the person acts next, since the robot has executed an action in this step.
+
+    Let Z = -cheap / (1 - gamma), where cheap is the least cost of an action or a wait, and dear the largest cost of an
+    action. U is defined on multiples of a unit: U(0) = 0, and for h > 0, U(h) is the largest of Z, of
+    gamma U(h - c) - c and gamma U(h - c - dear) - c - c_execute for each cost c of an action, and of -c_execute if
+    h <= dear. In arguments of U, c and dear are rounded up to the unit, and arguments below 0 count as 0.
+
+    Claim: U at h*, rounded down to the unit, is an upper bound on the value. The largest of Z and gamma U(h - c) - c is
+    one where the person acts next.
+
+    Proof: U falls, as each option at h is one at a smaller h, too, with at least the same value. In a dead end each
+    step costs at least cheap, so that Z bounds the value. Elsewhere nobody waits. A choice of cost c leads to a
+    cost-to-go of at least h - c, or to a dead end, where -c + gamma Z <= Z. Before it, the robot may execute an action,
+    which leads to at least h - dear; if that is a goal, then h <= dear and the person does nothing. So U is at least
+    its own Bellman backup, whatever the person and the robot do, and the claim follows by induction over the steps.
+    Rounding arguments of U downwards only raises it.
+
+    Parameters
+    ----------
+    h : float array, shape (N,)
+        Exact cost-to-go.
+    costs : array
+        Costs of the task's actions.
+    gamma : float
+    c_execute : float
+        Cost of an action that the robot executes.
+    step : float
+        All costs of actions are multiples of it. The unit is larger only where h* has more than 10,000 steps.
+    """
+    paid, finite = np.unique(costs), np.isfinite(h)
+    least, highest = -paid.min(initial=1.0) / (1 - gamma), float(h[finite].max(initial=0.0))
+    unit = max(step, highest / MOST_LEVELS)
+    down = np.ceil(paid / unit - 1e-9).astype(np.int64)
+    dear = int(down.max(initial=0))
+    paid, down = np.append(paid, paid + c_execute), np.append(down, down + dear)
+    value, acts = np.zeros((2, 1 + int(highest / unit + 1e-9)))
+    for level in range(1, len(value)):
+        each = gamma * value[np.maximum(level - down, 0)] - paid
+        acts[level] = max(least, each[: len(each) // 2].max())
+        value[level] = max(acts[level], each.max(), -c_execute if level <= dear else least)
+    first, second = np.full((2, *h.shape), least)
+    at = (h[finite] / unit + 1e-9).astype(np.int64)
+    first[finite], second[finite] = value[at], acts[at]
+    return first, second
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,9 @@ class LeafBounds:
     away : float array, shape (m, H, T), optional
         Upper bound on the value of every policy whose robot must first travel to the person. If it is given, the
         subproblem of a team ends at these states.
+    acting : int array, shape (m,), optional
+        Row in which the person acts after the robot has executed an action that leads to each of these states. By
+        default such an execution has no effect.
     value : float array, shape (m, G), optional
         V(x) of equation 7, the value that the person expects at these states, for each goal. The default is minus the
         exact cost-to-go.
@@ -46,11 +49,12 @@ class LeafBounds:
     floor: float | None = None
     away: Floats | None = None
     value: Floats | None = None
+    acting: NDArray[np.int64] | None = None
 
     __repr__ = outline
 
     def __post_init__(self) -> None:
-        for array in (self.states, self.lower, self.upper, self.away, self.value):
+        for array in (self.states, self.lower, self.upper, self.away, self.value, self.acting):
             if array is not None:
                 array.flags.writeable = False
 

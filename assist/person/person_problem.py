@@ -98,7 +98,7 @@ class PersonProblem:
     pomdp : AssistPOMDP
         Its `frontier` is None if it covers the whole task.
     states : int array, shape (n,)
-        Number of each state in the task.
+        Number of each state in the task; -1 for what follows an executed action at the frontier of a truncated one.
     """
 
     known: CostToGo | Goals
@@ -145,8 +145,7 @@ class PersonProblem:
         Raises
         ------
         ValueError
-            A parameter is out of its range, a truncated task is combined with executed actions, or several goals with
-            terms.
+            A parameter is out of its range, or several goals are combined with terms.
         """
         setting, states = setting or Setting(), None if states is None else whole("states", states, 1)
         known = known_task(known)
@@ -162,10 +161,11 @@ class PersonProblem:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
         task = on_demand(known, people.weights)
         of = partial(TruncatedTask.of, task, population=people, human=human, time_limit=time_limit)
-        problem = closed_problem(region := of(states=states, progress=progress), assumed)
+        robot = assumed.robot
+        problem = closed_problem(region := of(states=states, progress=progress).for_robot(robot), assumed)
         while (states := states // 2) >= 20:
             needed = first_bounds_bytes(problem, depth_within(problem, memory_limit_mb))
             if needed <= 0.8e6 * memory_limit_mb:
                 break
-            problem = closed_problem(region := of(states=states), assumed)
+            problem = closed_problem(region := of(states=states).for_robot(robot), assumed)
         return cls(known, problem, memory_of(task).state_of(region.states))

@@ -130,8 +130,7 @@ class AssistPOMDP:
         suggestions : "optimal" or "all"
             Whether only optimal actions are suggested, or every applicable action.
         frontier : LeafBounds, optional
-            Leaf bounds of a truncated problem. In it, the execution of an action that leads to the frontier has no
-            effect.
+            Leaf bounds of a truncated problem.
 
         Raises
         ------
@@ -147,7 +146,7 @@ class AssistPOMDP:
         if robot.execute and has_memory:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
-        robots = RobotActions.of(model.choices, suggestions, robot, None if frontier is None else frontier.states)
+        robots = RobotActions.of(model.choices, suggestions, robot, frontier)
         rule = EquationSeven(model.eta, model.utility_scale) if behaviour.trust is None else behaviour.trust
         grid = (grid or Grid.regular(population)).with_counts(counts_of(rule))
         goals = model.choices.goals

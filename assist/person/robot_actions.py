@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
+from .leaf_bounds import LeafBounds
 from .robots import OfRobots, Suggestions
 
 
@@ -22,7 +23,7 @@ class RobotActions(NamedTuple):
 
     @classmethod
     def of(
-        cls, choices: Choices, suggestions: Suggestions, robot: OfRobots, leaves: NDArray[np.int64] | None
+        cls, choices: Choices, suggestions: Suggestions, robot: OfRobots, frontier: LeafBounds | None
     ) -> RobotActions:
         """Number the robot actions of each state: nothing, the suggestions, and the executions if it executes."""
         nothing, suggestion, execution = robot.costs
@@ -41,8 +42,10 @@ class RobotActions(NamedTuple):
         suggested[state, column] = slot
         costs[state, column] = suggestion
         if robot.execute:
-            there = choices.targets[state, slot]
-            known = np.ones(len(there), dtype=bool) if leaves is None else ~np.isin(there, leaves)
-            afterstate[state, column + count[state]] = np.where(known, there, state)
+            acting = np.arange(len(choices))
+            if frontier is not None:
+                acting[frontier.states] = NOTHING if frontier.acting is None else frontier.acting
+            there = acting[choices.targets[state, slot]]
+            afterstate[state, column + count[state]] = np.where(there == NOTHING, state, there)
             costs[state, column + count[state]] = execution
         return cls(robot_actions, suggested, afterstate, costs)

@@ -20,7 +20,7 @@ Assumptions.
 2. The choice model is local. The choice probabilities of a state, and V(x) of equation 7, depend only on the choices in
    that state: their costs, their perceived costs, and the h*, goal flags and keys of their successors. A model that
    looks further may give other numbers on a truncated task, and no bound holds for it.
-3. The robot executes no action (`require_no_execution`).
+3. A robot that executes actions does so for a person whose goal is known.
 4. The robot knows the goal. If there are several, it may still suggest what is optimal for another one
    (`Choices.offered`), and the compliance relaxation allows all suggestions.
 
@@ -29,9 +29,11 @@ frontier with these values, is an upper bound on the whole task.
 
 Proof, from the outside to the inside.
 
-- Relaxation 4: `never_erring` bounds the value for all people and robots.
+- Relaxation 4: `never_erring` bounds the value for all people and robots that execute nothing, and
+  `never_erring_with_help` for others.
 - Relaxation 3: `compliance_bounds` bounds the value for all theta, hence for every trust update. It is used only for
-  people who choose by cost-to-go alone. For others, the bound of relaxation 4 takes its place.
+  people who choose by cost-to-go alone, and robots that execute nothing. For others, the bound of relaxation 4 takes
+  its place.
 - Relaxation 2: value iteration starts at values that are at least W, and applies the Bellman operator T of this
   truncated task. T is monotone. By assumption 2, a choice has the same probability, cost and successor as in the whole
   task. The trust rule changes theta after a suggestion depending on the choices in x and on V of the suggested
@@ -39,6 +41,8 @@ Proof, from the outside to the inside.
   whole task (`_expected`). Hence T agrees with the Bellman operator of the whole task at all states but the frontier,
   and it maps values of at least W to values of at least W. With another V at the frontier, such as minus h* for people
   who consider other things, theta would change differently, and T would be the operator of another problem.
+  An execution that leads to the frontier, after which the person acts at once, has at most the value of the state
+  there, as doing nothing there is free. That is at most the bound of relaxation 4, with attention free from then on.
 - Relaxation 1: beta and theta are hidden. The robot has less information than in the definition of W, so that its value
   is at most the mean of W.
 - A price of attention is at least 0, so that free attention is an upper bound. Travel time is replaced by 0: a robot
@@ -71,7 +75,7 @@ from ..people.goals import Goals
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
 from .backups import bellman_backup
-from .closed_problem import require_no_execution, value_beyond
+from .closed_problem import value_beyond
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
 from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem
 from .leaf_bounds import LeafBounds
@@ -219,7 +223,6 @@ def bounded(
         The computation would exceed the memory limit.
     """
     in_time = 200 * limits.left  # pairs: the solver's time grows with their number
-    require_no_execution(assumed)
     person = _Person(known, assumed, limits, known if among is None else among)
     inner, problem, hidden = person.inner(size)
     left = limits.left / 2  # for the expansion of the outer task; the rest is for its values
@@ -251,13 +254,9 @@ class _Person:
     def task(self, states: int, time_limit: float | None = None) -> TruncatedTask:
         """Return the truncated task of the likeliest states."""
         return TruncatedTask.of(
-            self.known,
-            states=states,
-            population=self.assumed.population,
-            human=self.assumed.human,
-            among=self.among,
+            self.known, states=states, population=self.assumed.population, human=self.assumed.human, among=self.among,
             time_limit=time_limit,
-        )
+        ).for_robot(self.assumed.robot)  # fmt: skip
 
     def inner(self, size: int) -> tuple[TruncatedTask, AssistPOMDP, int]:
         """Return the task on which beta and theta are hidden, its problem, and its requested number of states."""
@@ -322,11 +321,11 @@ class _Person:
         """Return upper bounds in the states of a truncated task, shape (n, B), by the compliance relaxation around it.
 
         The result is None if the relaxation does not apply: the task is no table, the misconceptions concern actions,
-        or there is another choice model than equation 5.
+        the robot executes actions, or there is another choice model than equation 5.
         """
         known, assumed, human, limits = self.known, self.assumed, self.assumed.human, self.limits
         by_cost = assumed.chooses is boltzmann and (human is None or mistaken_about_states(human))
-        if not (by_cost and isinstance(known, Table)):
+        if not (by_cost and isinstance(known, Table)) or assumed.robot.execute:
             return None
         left = limits.left
         share = 0.6  # of the time left; the rest is for the values with observed theta

@@ -43,10 +43,10 @@ from ..people.memory_on_demand import memory_of
 from ..people.ranges import Population
 from ..people.trust_rules import EquationSeven, constant
 from .assumptions import Assumptions
-from .frontier_bounds import CostLevels, Survey, advised, never_erring
+from .frontier_bounds import CostLevels, Survey, advised, never_erring, never_erring_with_help
 from .leaf_bounds import LeafBounds
 from .likely_states import Growth
-from .robots import NOTHING_DONE
+from .robots import EXECUTION, NOTHING_DONE, OfRobots
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are expanded together, between two looks at the clock
 
@@ -65,12 +65,15 @@ class TruncatedTask:
         Number of each state in `known`.
     frontier : int array, shape (m,)
         The frontier states, without those in which all goals are reached.
+    acting : int array, shape (m,), or None
+        As in `LeafBounds`, in a task for a robot that executes actions (`for_robot`). None in others.
     """
 
     known: CostToGo | Goals
     choices: Choices
     states: NDArray[np.int64]
     frontier: NDArray[np.int64]
+    acting: NDArray[np.int64] | None = None
 
     __repr__ = outline
 
@@ -142,30 +145,62 @@ class TruncatedTask:
         choices = memory_of(known).with_terms(joined(known, each), states)
         return cls(known, choices, states, cut[~choices.goal[cut]])
 
+    def for_robot(self, robot: OfRobots) -> TruncatedTask:
+        """Return the task with rows in which a person acts after this robot has executed an action at the frontier.
+
+        The person acts in the same step, and the choices beyond the frontier are unknown. So two rows stand for all
+        frontier states of the same cost-to-go: one with a single choice, at no cost, and one at the frontier to which
+        it leads. Bounds there are divided by gamma, since they are for the step before. Their number in `states` is -1.
+        """
+        if not robot.execute or self.acting is not None or not len(self.frontier):
+            return self
+        _, example, level = np.unique(self.choices.h[self.frontier], return_index=True, return_inverse=True)
+        begin, count = len(self.states), len(example)
+        acts, ends = begin + np.arange(count), begin + count + np.arange(count)
+        rows = np.concatenate([np.arange(begin), *2 * [self.frontier[example]]])
+        applicable, targets = self.choices.applicable[rows], self.choices.targets[rows]
+        targets[begin:] = np.arange(begin, len(rows))[:, None]
+        applicable[acts, 0], targets[acts, 0] = True, ends
+        return replace(
+            self, choices=self.choices.of_rows(rows, applicable=applicable, targets=targets),
+            states=np.append(self.states, np.full(2 * count, -1)), frontier=np.append(self.frontier, ends),
+            acting=np.append(acts[level], ends),
+        )  # fmt: skip
+
+    @property
+    def _after_executions(self) -> NDArray[np.bool_]:
+        """Which frontier states stand for those to which executions lead, shape (m,)."""
+        return np.zeros(len(self.frontier), dtype=bool) if self.acting is None else self.acting == self.frontier
+
     @property
     def inside(self) -> NDArray[np.int64]:
         """The rows of the states that are not on the frontier, in the ascending order of states."""
-        inside = np.setdiff1d(np.arange(len(self.states)), self.frontier)
+        inside = np.setdiff1d(np.flatnonzero(self.states >= 0), self.frontier)
         return inside[np.argsort(self.states[inside])]
 
     def local(self, states: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the rows, shape (N,), of states that are numbered as in `known`; -1 outside the truncated task."""
         order = np.argsort(self.states)
         at = np.minimum(np.searchsorted(self.states, states, sorter=order), len(order) - 1)
-        return np.where(self.states[order[at]] == states, order[at], -1)
+        return np.where((self.states[order[at]] == states) & (states >= 0), order[at], -1)
 
     def bounds_of_anybody(self, assumed: Assumptions) -> LeafBounds:
         """Return bounds at the frontier that hold for every person, whatever is assumed of them.
 
-        The upper bound is `never_erring`. The lower bound is for a robot that does nothing, with the largest cost in
-        every step.
+        The upper bound is `never_erring`, or `never_erring_with_help`. The lower bound is for a robot that does
+        nothing, with the largest cost in every step.
         """
         gamma, nothing = assumed.gamma, assumed.robot.costs[NOTHING_DONE]
-        costs = np.append(first_of(self.known).task.action_costs, 1.0)  # a wait costs 1
-        upper = never_erring(self.choices.goals.h[:, self.frontier].T, costs, gamma)
-        most = float(costs.max())
+        known, h, after = first_of(self.known), self.choices.goals.h[:, self.frontier].T, self._after_executions
+        actions, step = known.task.action_costs, CostLevels.of(known).step
+        most = float(actions.max(initial=1.0))  # a wait costs 1
         lower = self._unless_reached(-(most + nothing) / (1 - gamma), len(assumed.grid.theta))
-        return LeafBounds(self.frontier, lower, upper[:, :, None], -most / (1 - gamma))
+        if self.acting is None:
+            upper = never_erring(h, actions, gamma)
+        else:
+            upper, acts = never_erring_with_help(h, actions, gamma, assumed.robot.costs[EXECUTION], step)
+            upper[after], lower[after] = acts[after] / gamma, lower[after] / gamma
+        return LeafBounds(self.frontier, lower, upper[:, :, None], -most / (1 - gamma), acting=self.acting)
 
     def _unless_reached(self, value: float, thetas: int) -> Floats:
         """Return a value at the frontier for each goal and theta, shape (m, G, T); 0 where the goal is reached."""
@@ -202,4 +237,6 @@ class TruncatedTask:
                 reached = np.isfinite(h)
                 lower[at[reached], number] = value[np.rint(h[reached] / levels.step).astype(np.int64)]
             lower[at[np.isinf(h)], number] = -(dear + nothing) / (1 - gamma)  # in a dead end the robot does nothing
-        return LeafBounds(self.frontier, lower, anybody.upper, anybody.floor)
+        after = self._after_executions
+        lower[after] = anybody.lower[after]
+        return replace(anybody, lower=lower)

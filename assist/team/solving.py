@@ -53,8 +53,8 @@ class Solving(TypedDict, total=False):
         Memory of all QMDP policies in MB; it is estimated before anything is allocated.
     states : int
         Largest number of states of a table that is enumerated. It is `MAX_ENUMERATED` if people have a memory, if
-        actions are executed, if another solver is given, or if people are asked for their goals. Tables of several
-        goals are enumerated if their policies do not exceed the memory limit.
+        another solver is given, or if people are asked for their goals. Tables of several goals are enumerated if their
+        policies do not exceed the memory limit.
     region : int or None
         Number of states of a policy's truncated task, for each goal; by default
         `assist.person.shared_task.default_size`, or fewer for many goals, by the memory limit.
@@ -92,7 +92,7 @@ def solved_on_demand(
     require_one_goal(table, terms)
     own = solver if solver != qmdp else None
     asks = setting.c_ask is not None  # worth of answers: exact where it is affordable
-    most = MAX_ENUMERATED if asks or own or terms or setting.fleet.executes else states
+    most = MAX_ENUMERATED if asks or own or terms else states
     choices: Choices | None = None
     if isinstance(table, Choices) or is_whole(table, most):
         choices = affordable_choices(table, setting, terms, them.size, limit, required=bool(terms))

@@ -294,10 +294,13 @@ def test_no_value_changes(tiny_choices: Choices, tmp_path: Path, name: str) -> N
     np.testing.assert_allclose(value.reshape(expected.shape), expected, atol=1e-7)
 
 
+@pytest.mark.parametrize("execute", [False, True])
 @pytest.mark.parametrize("leaves", ["lower", "upper"])
-def test_a_truncated_problem_is_written_with_its_bounds(tiny: Table, tmp_path: Path, leaves: Any) -> None:
+def test_a_truncated_problem_is_written_with_its_bounds(
+    tiny: Table, tmp_path: Path, leaves: Any, execute: bool
+) -> None:
     """The file has the same MDP value; it is a bound on that of the whole task, whose file a part of all states is."""
-    assumed, values = Assumptions(gamma=0.9), list[float]()
+    assumed, values = Assumptions(gamma=0.9, robot=OfRobots(execute=execute)), list[float]()
     for states in (3, 8, 100):
         part = TruncatedTask.of(tiny, states=states)
         problem = closed_problem(part, assumed)

@@ -83,6 +83,30 @@ def test_nobody_gets_more(task: str, size: int, setting: Setting, human: Human |
         assert (frontier.away <= frontier.upper + 1e-9).all()
 
 
+@pytest.mark.parametrize("c_execute", [0.0, 0.8])
+@pytest.mark.parametrize(("task", "suggestions"), [("tiny", "all"), ("sealed", "optimal"), ("costs/ways", "optimal")])
+def test_nobody_gets_more_where_robots_execute(
+    task: str, suggestions: Any, c_execute: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setting = Setting(c_suggest=0.2, execute=True, c_execute=c_execute, suggestions=suggestions, gamma=0.95)
+    assumed, table, gaps = Assumptions.of(setting, somebody(), PRIOR), kit(task), []
+
+    def value(problem: AssistPOMDP, steps: int) -> np.ndarray:
+        visits = AttentionSubproblem.of(problem, ENTRY, steps)
+        return qmdp(visits.pomdp, tolerance=1e-9).value_mdp[visits.pomdp.model.choices.initial]
+
+    for steps in (0, 2):
+        exact = value(assumed.problem(Choices.of(table)), steps)
+        for seen, size in ((0, 3), (0, 12), (30, 12), (0, 10_000)):
+            sizes = replace(truncated_bound.SIZES, seen=seen, tolerance=1e-6, sweeps=10_000)
+            monkeypatch.setattr(truncated_bound, "SIZES", sizes)
+            gap = value(bounded(table, assumed, entry=ENTRY, size=size).problem, steps) - exact
+            assert gap.min() > -1e-8
+            gaps.append(gap.max())
+        assert gaps[-1] < 1e-8
+        assert gaps[-4] > gaps[-3] >= gaps[-2] - 1e-9
+
+
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("knowledge", ["exact", "own"])
 def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import KITTING, graph_task, invoke, table_of, thinned
+from conftest import KITTING, graph_task, invoke, kit, table_of, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -255,8 +255,46 @@ def test_nothing_is_executed_where_a_problem_breaks_off() -> None:
             leads, inside = leads + ends, inside + (not ends)
     assert leads
     assert inside
-    with pytest.raises(ValueError, match="execute: expected an enumerated task for bounds"):
-        closed_problem(part, Assumptions(robot=OfRobots(execute=True)))
+
+
+@pytest.mark.parametrize("c_execute", [0.0, 0.7, 3.0])
+@pytest.mark.parametrize("instance", [*INSTANCES.values(), WAYS], ids=["fixed", "dead ends", "costs"])
+def test_a_parts_bounds_hold_where_robots_execute(instance: Instance, c_execute: float) -> None:
+    table, robot = table_of(instance), OfRobots(c_suggest=0.3, execute=True, c_execute=c_execute)
+    exact = qmdp(AssistPOMDP.of(HumanModel.exact(Choices.of(table)), gamma=0.97, robot=robot)).value_mdp
+    begin, gaps = Choices.of(table).initial, []
+    for states in (1, 5, 20, 60, 10_000):
+        part = TruncatedTask.of(table, states=states)
+        problem = closed_problem(part, Assumptions(gamma=0.97, robot=robot))
+        rows = np.flatnonzero(part.states >= 0)
+        upper = qmdp(problem).value_mdp[rows] - exact[part.states]
+        assert upper.min() > -1e-6
+        gaps.append(upper[problem.model.choices.initial].max())
+        assert begin == part.states[0]
+        frontier = problem.frontier
+        beyond = frontier.states < len(rows)
+        known = exact[part.states[frontier.states[beyond]]]
+        assert (frontier.upper[beyond] - known).min(initial=0.0) > -1e-6
+        assert (known - frontier.lower[beyond]).min(initial=0.0) > -1e-6
+    assert gaps[-1] < 1e-6
+    assert sorted(gaps, reverse=True) == pytest.approx(gaps, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["tiny", "sealed"])
+def test_an_interval_of_a_part_has_the_value_of_the_whole_where_robots_execute(name: str) -> None:
+    table = kit(name)
+    setting = Setting(gamma=0.9, c_suggest=0.3, execute=True, c_execute=0.4)
+    exact = solve(PersonProblem.of(table, setting=setting).pomdp, gap=1e-3, time_limit=20)
+    for known, states in ((table, 3), (OnDemand(table.task, jobs=1), 8), (table, 20), (table, 10_000)):
+        problem = PersonProblem.of(known, setting=setting, states=states)
+        part = solve(problem.pomdp, gap=1e-3, time_limit=10)
+        assert part.lower <= exact.upper
+        assert exact.lower <= part.upper
+        if problem.pomdp.frontier is not None and len(problem.pomdp.frontier.states):
+            beyond = (problem.states < 0).sum() // 2
+            assert (problem.pomdp.afterstate[problem.states >= 0] >= (problem.states >= 0).sum()).any()
+            assert len(set(problem.pomdp.frontier.acting.tolist())) == 2 * beyond
+    assert (part.lower, part.upper) == pytest.approx((exact.lower, exact.upper), abs=1e-9)
 
 
 def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
@@ -296,8 +334,6 @@ def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tin
         assert part.states.tolist() == region.states.tolist()
         assert part.pomdp.frontier is not None
         assert part.pomdp.frontier.states.tolist() == region.frontier.tolist()
-        with pytest.raises(ValueError, match="execute: expected an enumerated task for bounds"):
-            PersonProblem.of(known, states=states, setting=Setting(execute=True))
 
 
 def test_a_known_misconception_is_the_same_on_a_part(tiny: Table) -> None:
@@ -321,6 +357,18 @@ def test_another_file_is_no_solution(tmp_path: Path) -> None:
     for file in (text, other):
         with pytest.raises(InputFileError, match=f"{file.name}.*expected a saved Solution"):
             Solution.load(file)
+
+
+def test_the_command_takes_robots_that_execute_on_a_part_of_a_task(tmp_path: Path) -> None:
+    out = tmp_path / "policy.npz"
+    size = ("--set", "region_states=20", "--set", "execute=true")
+    done = invoke("policy", KITTING / "paper.pddl", *size, "--time-limit", 2, "--out", out, "--json")
+    assert (done.exit_code, done.stderr) == (0, "")
+    record, stored = json.loads(done.stdout), np.load(out)
+    assert record["lower"] <= record["upper"]
+    assert record["frontier"] > 0
+    assert (stored["task_states"] == -1).any()
+    assert len(stored["task_states"]) == len(stored["values"]) == record["states"]
 
 
 def test_the_command_gives_bounds_and_a_file(tmp_path: Path) -> None:
@@ -364,11 +412,6 @@ def test_the_command_cuts_down_what_is_too_large() -> None:
         (["tiny.pddl", "--set", "gamma=1"], 2, "gamma: 1; expected a number above 0 and below 1"),
         (["tiny.pddl", "--gap", "-1"], 2, "-1.0 is not in the range"),
         (["tiny.pddl", "--out", "policy.txt"], 2, "expected a name that ends in .npz"),
-        (
-            ["paper.pddl", "--set", "region_states=20", "--set", "execute=true"],
-            2,
-            "execute: expected an enumerated task for bounds",
-        ),
         (["absent.pddl"], 2, "absent.pddl"),
     ],
 )

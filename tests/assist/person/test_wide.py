@@ -155,8 +155,10 @@ def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge
         for pool, policy in ((cut, "none"), (whole, "attention"), (cut, "attention"))
     )
     assert near - none > 0.8 * (best - none) > 0
-    with pytest.raises(ValueError, match="execute: expected an enumerated task for bounds"):
-        upper_bound(part)
+    exact, same, above = (upper_bound(pool, [0, 1], window=0, gap=1e-3, seed=1).upper for pool in (whole, part, cut))
+    assert best - 0.1 < exact
+    assert exact == pytest.approx(same, rel=2e-3)
+    assert above > exact - 0.02
 
 
 @pytest.mark.parametrize("travel_time", [0, 2])
