@@ -20,10 +20,9 @@ from ..people.belief import Grid
 from ..people.choice_model import chances
 from ..people.decision import perceived_cost
 from ..people.goals import Goals, first_of
-from ..people.memory import choices_of
 from ..people.ranges import Population
-from ..person.person_problem import WHOLE, is_whole
 from ..person.settings import Setting
+from ..person.truncated_task import TruncatedTask
 from .desk import Desk
 from .live_task import digest
 from .record import TeamRecord
@@ -80,13 +79,15 @@ def _files_of(tasks: Mapping[str, CostToGo | Goals]) -> dict[str, str | None]:
 
 
 def _chances(task: CostToGo | Goals, population: Population) -> str:
-    """Return a hash of the choice probabilities of a function, which identifies it better than its name."""
-    if not is_whole(task):
-        raise ValueError(f"people who choose by a function: expected a task of at most {WHOLE:,} states, all known")
-    content, beta = sha256(), Grid.regular(population).beta
-    for choices in choices_of(task).of_each_goal:
+    """Return a hash of a function's choice probabilities in the likeliest states, which identify it better than a name.
+
+    It does not depend on the numbers of states, which on demand are those of their first use.
+    """
+    region = TruncatedTask.of(task, states=20 if first_of(task).searches else 1_000, population=population)
+    content, beta, order = sha256(), Grid.regular(population).beta, np.argsort(region.choices.keys)
+    for choices in region.choices.of_each_goal:
         q = perceived_cost(choices, choices.h)
-        content.update(chances(population.typical, choices, q, beta).tobytes())
+        content.update(chances(population.typical, choices, q, beta)[:, order].tobytes())
     return content.hexdigest()[:32]
 
 

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner import CostToGo, Table, Transitions, optimal_choices
+from planner import CostToGo, Transitions
 
-from ..people.choice_model import boltzmann
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, perceived_cost
 from ..people.goals import Goals, each_of, prior_of
@@ -23,13 +21,12 @@ from ..people.human import Human
 from ..people.neighbours import parts_of
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.ranges import Population
-from ..people.slots import padded
-from ..people.state_keys import keys_of
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from ..people.trust_rules import EquationSeven, TrustRule
 from ..people.weighted_choice import Weighted
 from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel
+from ..person.state_cache import NONE, StateCache
 from .roster import Saw
 
 
@@ -44,8 +41,6 @@ class _Step(NamedTuple):
 
 class SimulatedPerson:
     """A person with their own expertise, trust and misconceptions, in a task of any size.
-
-    A user's own choice model needs an enumerated task.
 
     Parameters
     ----------
@@ -72,7 +67,7 @@ class SimulatedPerson:
         self.state: int | None = None
         self.reported: str | None = None
         self._words: dict[int, tuple[CostToGo, Vocabulary]] = {}
-        self._whole: dict[int, tuple[CostToGo, Choices]] = {}
+        self._caches: dict[int, StateCache] = {}
 
     def pursued(self, task: CostToGo | Goals) -> CostToGo:
         """Return the task with the goal that the person pursues; of several goals, it is drawn from their prior."""
@@ -114,23 +109,21 @@ class SimulatedPerson:
             return applicable[0]
         names = [task.task.actions[action] for action in rows.actions]
         suggested = names.index(suggestion) if suggestion in names else NOTHING
-        choices, row, slots = self._around(task, state, rows, suggested)
-        slot = NOTHING if suggested == NOTHING else int(slots[suggested])
-        p = influenced(self.human.chances(choices)[row][None], np.array([slot]), np.array([self.theta]))
-        counts = np.array([[choices.applicable[row].sum()]])
+        choices = self._around(task, state, rows, suggested)
+        p = influenced(self.human.chances(choices)[:1], np.array([suggested]), np.array([self.theta]))
+        counts = np.array([[choices.applicable[0].sum()]])
         number = self.rng.random() if uniform is None else uniform
         done = int(drawn_slots(p, counts, 0.0, np.array([number]))[0])
-        if slot != NOTHING:
-            self._trusts(choices, row, slot, followed=done == slot)
-        action = int(np.flatnonzero(slots == done)[0])
-        self._last = _Step(task, state, int(rows.actions[action]), int(rows.targets[action]))
-        return names[action]
+        if suggested != NOTHING:
+            self._trusts(choices, suggested, followed=done == suggested)
+        self._last = _Step(task, state, int(rows.actions[done]), int(rows.targets[done]))
+        return names[done]
 
-    def _trusts(self, choices: Choices, row: int, slot: int, *, followed: bool) -> None:
-        """Update theta after a suggestion."""
+    def _trusts(self, choices: Choices, slot: int, *, followed: bool) -> None:
+        """Update theta after a suggestion in the state of the first row."""
         q, value = perceived_cost(choices, self.human.expects(choices)), self.human.value(choices)
         perceived = PerceivedSuggestions.of(
-            q[row, slot], q[row].min(), value[row], value[choices.targets[row, slot]], choices.optimal[row, slot]
+            q[0, slot], q[0].min(), value[0], value[choices.targets[0, slot]], choices.optimal[0, slot]
         )
         event = perceived.event(np.array(followed), self._trust.feedback)
         theta, self._count = moved(self._trust, np.array(self.theta), self._count, event)
@@ -148,17 +141,17 @@ class SimulatedPerson:
         Parameters
         ----------
         task : CostToGo
-            An enumerated task.
         suggestion : str or None
             The suggested action, which has no effect if it is not applicable.
         model : ObservationModel
         """
         assert self.state is not None
-        before, choices = self.state, self._choices(task)
-        done = self.act(task, before, [choices.name(before, 0)], suggestion)
-        slot = next(n for n in range(choices.applicable[before].sum()) if choices.name(before, n) == done)
-        self.state = int(choices.targets[before, slot])
-        seen = model.draw(choices, before, slot, self.rng.random(2))
+        region = self._cache(task).around(np.array([self.state]))
+        choices = region.choices
+        done = self.act(task, self.state, [choices.name(0, 0)], suggestion)
+        slot = next(n for n in range(choices.applicable[0].sum()) if choices.name(0, n) == done)
+        self.state = int(region.states[choices.targets[0, slot]])
+        seen = model.draw(choices, 0, slot, self.rng.random(2))
         if seen is None:
             return None
         self.reported = done
@@ -169,41 +162,23 @@ class SimulatedPerson:
 
         Terms depend on the last action if it led to this state, that is, after no undo and no change of the task.
         """
-        choices, row, slots = self._around(task, state, task.choices([state]), NOTHING)
-        return self.human.chances(choices)[row, slots]
+        rows = task.choices([state])
+        return self.human.chances(self._around(task, state, rows))[0, : len(rows.actions)]
 
-    def _around(
-        self, task: CostToGo, state: int, rows: Transitions, suggested: int
-    ) -> tuple[Choices, int, NDArray[np.int64]]:  # fmt: skip
-        """Return the choices around a state, its row there, and the slot of each of the task's actions in the state.
+    def _around(self, task: CostToGo, state: int, rows: Transitions, suggested: int = NOTHING) -> Choices:
+        """Return the choices around a state, whose row is the first and whose slots are the task's actions there.
 
-        Those after the suggested action are included, as trust depends on its value. A model of the user's own gets the
-        choices of the whole task.
+        Those after the suggested action are included, as trust depends on its value.
         """
-        weighted = isinstance(self.human.chooses, Weighted)
-        if self.human.chooses is not boltzmann and not weighted:
-            choices = self._choices(task)
-            actions = task.task.first_of_name[rows.actions]
-            return choices, state, np.array([np.flatnonzero(choices.actions[state] == one)[0] for one in actions])
-        known = [state] if suggested == NOTHING else [state, int(rows.targets[suggested])]
-        known = list(dict.fromkeys(known))
-        each = [task.choices([one]) for one in known]
-        states = np.array(list(dict.fromkeys([*known, *(int(to) for one in each for to in one.targets)])))
-        number = {int(one): row for row, one in enumerate(states)}
-        counts = [len(one.actions) for one in each] + [0] * (len(states) - len(known))
-        actions, targets = (np.concatenate([getattr(one, name) for one in each]) for name in ("actions", "targets"))
-        expanded = np.arange(len(states)) < len(known)
-        local = Transitions(
-            np.concatenate([[0], np.cumsum(counts)]), actions,
-            np.array([number[int(to)] for to in targets], dtype=np.int64),
-        )  # fmt: skip
-        optimal = np.concatenate([optimal_choices(task, [one], own) for one, own in zip(known, each, strict=True)])
-        goal = task.is_goal(states)
-        slots = padded(task, local, optimal, ~goal & expanded)
-        choices = Choices(task.lookup(states), goal, *slots, task.task.actions, key=keys_of(task, states))
-        if weighted:
-            choices = self._with_terms(task, state, rows, choices)
-        return choices, 0, np.arange(len(rows.actions))
+        then = NONE if suggested == NOTHING else rows.targets[[suggested]]
+        choices = self._cache(task).around(np.array([state]), then=then).choices
+        return self._with_terms(task, state, rows, choices) if isinstance(self.human.chooses, Weighted) else choices
+
+    def _cache(self, task: CostToGo) -> StateCache:
+        """Return what is known of a task's states in which the person has been."""
+        if id(task) not in self._caches:
+            self._caches[id(task)] = StateCache(task)
+        return self._caches[id(task)]
 
     def _with_terms(self, task: CostToGo, state: int, rows: Transitions, choices: Choices) -> Choices:
         """Return choices with the values of the person's terms in the first row, that of the state."""
@@ -222,9 +197,3 @@ class SimulatedPerson:
         every = np.zeros((*choices.applicable.shape, said.shape[2]))
         every[0, : said.shape[1]] = said[0]
         return replace(choices, terms=tuple(self.human.weights), features=every)
-
-    def _choices(self, task: CostToGo) -> Choices:
-        """Return the choices of an enumerated task."""
-        if id(task) not in self._whole:
-            self._whole[id(task)] = task, Choices.of(cast(Table, task))
-        return self._whole[id(task)][1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sized
 
 from planner import LimitError
@@ -57,18 +56,15 @@ def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6
 def states_within(limit_mb: float, goals: Sized, models: int) -> int:
     """Return the number of states of a truncated task for each goal, so that all policies are within the limit.
 
-    With one goal, the number is not limited: a policy's truncated task takes less than 100 MB.
-
     Raises
     ------
     LimitError
         There would be fewer than 20 states for each goal.
     """
-    if not several(goals):
-        return sys.maxsize
     of_a_state, least = 6_000, 20  # bytes: values with and without a robot that comes and goes, and choices
     of_all = of_a_state * len(goals) * (models + 1)
-    what = f"policies for {models:,} people with {len(goals)} goals, on as few as {least} states, take"
+    them = f"{models:,} people{f' with {len(goals)} goals' * several(goals)}"
+    what = f"policies for {them}, on as few as {least} states, take"
     require_room(what, of_all * least, limit_mb, f"{ONE_FOR_ALL}a higher memory limit")
     return int(limit_mb * 1e6 / of_all)
 

@@ -57,7 +57,7 @@ class Solving(TypedDict, total=False):
         policies do not exceed the memory limit.
     region : int or None
         Number of states of a policy's truncated task, for each goal; by default
-        `assist.person.shared_task.default_size`, or fewer for many goals, by the memory limit.
+        `assist.person.shared_task.default_size`, or fewer for many people or goals, by the memory limit.
     time_limit : float or None
         Seconds after which no further POMDP is built, and a `LimitError` says for how many people it was; none by
         default.

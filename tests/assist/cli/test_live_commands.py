@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, ROOT, invoke
+from conftest import KITTING, invoke
 
 from assist.live.events import Paused
+from assist.live.header import _chances
 from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
 from assist.live.simulated_person import SimulatedPerson
@@ -22,10 +23,9 @@ from assist.people.ranges import Population
 from assist.people.user_code import UserChoiceModel, _loaded
 from assist.people.weighted_choice import Weighted
 from assist.web import server
-from planner import Table
+from planner import OnDemand, Table
 
 TINY, PAPER = KITTING / "tiny.pddl", KITTING / "paper.pddl"
-SHORT = f"{ROOT / 'docs/examples/short_sighted.py'}:short_sighted"
 WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"
 
 OWN = """\
@@ -220,13 +220,27 @@ def test_options_that_need_another_one_are_accepted_with_it(begun: Begun, tmp_pa
     assert (setting.eta, setting.utility_scale, setting.pace, setting.seed, setting.keep_people) == (0.3, 2, 1, 5, 7)
 
 
-def test_a_choice_model_needs_all_states(begun: Begun) -> None:
-    result = invoke(
-        "serve", KITTING / "ladder-4x6.pddl", "--humans", 1, "--port", 0, "--set", f"population.chooses={SHORT}"
-    )
-    assert result.exit_code == 2
-    assert "expected a task of at most 20,000 states" in result.stderr
-    assert begun.sessions == []
+def test_people_choose_as_a_function_says_in_a_large_task(begun: Begun, own: Path, tmp_path: Path) -> None:
+    options = (KITTING / "ladder-4x6.pddl", "--humans", 1, "--simulate", 1, "--data", tmp_path / "data")
+    chooses = ("--set", f"population.chooses={own}:moves")
+    session = begun(*options, *chooses)
+    task, state = session.place("simulated-1")
+    chance = begun.plan.seats().people["simulated-1"].chances(task, state)
+    assert chance == pytest.approx(np.full(len(chance), 1 / len(chance)))
+    begun.end()
+    begun(*options, *chooses)
+    begun.end()
+    own.write_text(OWN.replace("def moves", "def other").replace("def always", "def moves"))
+    _loaded.cache_clear()
+    refused = invoke("serve", *options, "--port", 0, *chooses)
+    assert (refused.exit_code, "has chances" in refused.stderr) == (2, True)
+
+
+def test_a_function_is_known_again_where_states_are_met_in_another_order(tiny: Table, own: Path) -> None:
+    functions = [Population(chooses=UserChoiceModel.load(own, name)) for name in ("moves", "always")]
+    asked, other = OnDemand(tiny.task, jobs=1), OnDemand(tiny.task, jobs=1)
+    other.choices(other.choices([0]).targets[::-1])
+    assert _chances(asked, functions[0]) == _chances(other, functions[0]) != _chances(asked, functions[1])
 
 
 def test_several_tasks_are_given_in_turn_and_each_has_its_log(begun: Begun) -> None:

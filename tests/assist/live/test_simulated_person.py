@@ -7,23 +7,32 @@ import pytest
 
 from assist.live.simulated_person import SimulatedPerson
 from assist.people import Population
+from assist.people.choice_model import ChoiceModel, boltzmann
+from assist.people.choices import Choices
 from assist.person import Setting
+from assist.person.observation_model import ObservationModel
 from assist.team import Pool, simulate
 from assist.team.common_random_numbers import CommonRandomNumbers
 from assist.team.trace import Trace
 from planner import OnDemand, load, sweep
 
 TINY = sweep(load("kitting/tiny"))
+
+
+def short_sighted(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    return boltzmann(choices, np.minimum(q, 4.0) + np.where(choices.applicable, 0.0, np.inf), beta)
+
+
 PLACES = 3
 
 
 @pytest.mark.parametrize("trust", ["paper", "outcome", "reliability"])
-@pytest.mark.parametrize("noise", ["state", "action"])
+@pytest.mark.parametrize("noise", ["state", "action", short_sighted])
 @pytest.mark.parametrize("on_demand", [False, True])
 def test_the_same_person_with_the_same_numbers_acts_as_in_a_simulation(
-    trust: str, noise: str, on_demand: bool
+    trust: str, noise: str | ChoiceModel, on_demand: bool
 ) -> None:  # fmt: skip
-    population = Population(noise=noise)  # type: ignore[arg-type]
+    population = Population(chooses=noise) if callable(noise) else Population(noise=noise)  # type: ignore[arg-type]
     setting = Setting(trust=trust, c_suggest=0.05, c_move=0.0, suggestions="all")
     pool, trace = Pool.sample(TINY, PLACES, seed=7, setting=setting, population=population), Trace()
     simulate(pool, "priority", humans=[0, 1, 2], episodes=[4], seed=9, trace=trace)
@@ -45,3 +54,16 @@ def test_the_same_person_with_the_same_numbers_acts_as_in_a_simulation(
         advised += row["suggestion"] is not None
         states[k] = int(rows.targets[names.index(done)])
     assert advised > 3
+
+
+def test_actions_that_are_missed_or_confused_are_those_of_the_whole_task() -> None:
+    model = ObservationModel(miss=0.3, confusion=0.4)
+    found = []
+    for task in (TINY, OnDemand(load("kitting/tiny"), jobs=1)):
+        person, seen = SimulatedPerson(Population(), seed=4), list[str | None]()
+        person.state = task.initial
+        while not task.is_goal([person.state])[0]:
+            seen.append(person.act_unseen(task, None, model))
+        found.append((seen, person.reported))
+    assert found[0] == found[1]
+    assert None in found[0][0]
