@@ -17,6 +17,9 @@ observes the type and theta is not worse. So the mean of its return is at most V
 The maps l_1 and u_1 rise with theta, so that l_m and u_m are their iterates. The values are those on the grid, with
 theta between grid points divided between them, as people of the model move: linear between grid points, and largest at
 an end of the interval or at a grid point within.
+
+Of a truncated task not all states are known, so that a gain may have any size. Values at its frontier are those of
+people who never err, which no theta exceeds (`truncated_bound.bounded` with `theta_moves`).
 """
 
 from __future__ import annotations
@@ -25,11 +28,12 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..declare.declared import MOST
 from ..people.decision import Floats
 from ..people.theta_reach import ThetaReach, range_of_gains
 from ..person.attention_subproblem import AttentionSubproblem, backwards
@@ -43,6 +47,9 @@ Ints = NDArray[np.int64]
 
 class OwnTheta:
     """The bounds on the subproblem of a person who sees nobody: theta moves by suggestions to themselves only."""
+
+    moves: ClassVar[bool] = False
+    """Whether theta moves otherwise, too."""
 
     def tail(self, free: AttentionSubproblem) -> Floats:
         """Return the values with free attention, shape (P * n, H, T), of a subproblem without prices."""
@@ -69,6 +76,7 @@ class Envelope(OwnTheta):
         How far theta comes in a step.
     """
 
+    moves: ClassVar[bool] = True
     reach: ThetaReach
 
     @classmethod
@@ -82,6 +90,8 @@ class Envelope(OwnTheta):
         """
 
         def gains(number: int) -> tuple[float, float]:
+            if pool.policies[number].problem.region is not None:
+                return -MOST, MOST
             pomdp = pool.policies[number].pomdp
             return range_of_gains(pomdp.model, pomdp.robot_actions > 1)
 
@@ -157,14 +167,7 @@ def require_envelope(pool: Pool, members: Iterable[int], paths: int) -> None:
     Raises
     ------
     ValueError
-        A task is truncated, or sample paths are asked for.
+        Sample paths are asked for.
     """
-    members = list(members)
-    if not pool.setting.neighbourhood(len(members)).watched.any():
-        return
-    for model in set(pool.model[members].tolist()):
-        pool.policies[model].problem.require_enumerated(
-            "a bound with neighbours who see each other", "what they come to see may move theta in any state"
-        )
-    if paths:
+    if paths and pool.setting.neighbourhood(len(list(members))).watched.any():
         raise ValueError(f"paths {paths}: expected 0, as sample paths do not have what people see of neighbours")

@@ -174,14 +174,16 @@ def kinds_of(
         members.setdefault((int(pool.model[person]), entries[k], steps[k]), []).append(k)
     # Of each kind: the probability of its goal, its problem, and its key of `members`.
     parts: list[tuple[float, TruncatedProblem, tuple[int, float, int]]] = []
+    envelopes = dict[tuple[int, float, int], OwnTheta]()
     for done, key in enumerate(members):
         model, entry, _ = key
         tell("setting up people's problems", done, len(members))
         room = memory_limit_mb / len(members)
         # The outer relaxations of all kinds are kept in memory, if they are included. An upper bound on a truncated
         # problem is one on that of the whole task (`person.truncated_bound`).
+        envelopes[key] = Envelope.of(pool, team, tuple(members[key]))
         given = pool.policies[model].bounded(
-            entry, with_outer=with_outer,
+            entry, with_outer=with_outer, theta_moves=envelopes[key].moves,
             limits=BoundLimits(until, room if with_outer else memory_limit_mb, room).shared(len(members) - done),
         )  # fmt: skip
         parts += [(chance, problem, key) for chance, problem in given]
@@ -191,13 +193,14 @@ def kinds_of(
         _, entry, entry_steps = key
         free = AttentionSubproblem.of(one.problem, entry, entry_steps)
         places = tuple(members[key])
-        envelope = Envelope.of(pool, team, places)
-        tail = envelope.tail(free)
+        tail = envelopes[key].tail(free)
         visits = (
             free if one.outer is not None else AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window))
         )
         _require_room_for(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        kinds.append(SubproblemKind(pool, visits, tail, places, one.outer, one.between, one.pairs, chance, envelope))
+        kinds.append(
+            SubproblemKind(pool, visits, tail, places, one.outer, one.between, one.pairs, chance, envelopes[key])
+        )
     return kinds
 
 

@@ -108,13 +108,13 @@ class Policy:
         return evaluate(self.pomdp.unattended(), never).__getitem__
 
     def bounded(
-        self, entry: float, *, with_outer: bool = False, limits: BoundLimits = NO_LIMITS
+        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
     ) -> list[tuple[float, TruncatedProblem]]:
         """Return each possible goal's probability, and the problem given this goal whose upper bound holds for all.
 
         The arguments are those of `person.truncated_bound.bounded`.
         """
-        del entry, with_outer, limits
+        del entry, with_outer, theta_moves, limits
         return [(chance, TruncatedProblem(problem)) for chance, problem in given_goals(self.pomdp)]
 
 

@@ -195,6 +195,7 @@ def bounded(
     entry: float,
     size: int,
     with_outer: bool = False,
+    theta_moves: bool = False,
     limits: BoundLimits = NO_LIMITS,
     among: CostToGo | Goals | None = None,
 ) -> TruncatedProblem:
@@ -213,6 +214,9 @@ def bounded(
         Number of states on which policies are solved; the inner truncated task is not larger.
     with_outer : bool
         Whether the outer relaxation is returned as well.
+    theta_moves : bool
+        Whether theta may also move by what the person sees of others. Then there is no outer relaxation, which has
+        moves by the person's own suggestions only.
     limits : BoundLimits
     among : CostToGo or Goals, optional
         As in `TruncatedTask.of`.
@@ -226,7 +230,7 @@ def bounded(
     person = _Person(known, assumed, limits, known if among is None else among)
     inner, problem, hidden = person.inner(size)
     left = limits.left / 2  # for the expansion of the outer task; the rest is for its values
-    seen = 0 if known.searches else SIZES.seen
+    seen = 0 if known.searches or theta_moves else SIZES.seen
     if not (seen > hidden and len(inner.frontier) and left > 0):
         return TruncatedProblem(person.within(inner, problem, None))
     outer, around_it = person.outer(seen, hidden, None if left == math.inf else left)

@@ -96,7 +96,7 @@ class TruncatedPolicy(Policy):
         Cached estimates for each goal, by the parameters of the subproblem with a price of attention. The key is () for
         a robot that is always present, and `NEVER` for one that does not help.
     bounds : dict
-        Cached problems for bounds, by the cost of coming and by whether the outer relaxation is included.
+        Cached problems for bounds, by the cost of coming, by whether they have the outer relaxation, and `theta_moves`.
     found : dict
         Cached truncated tasks, by the id of the goal's cost-to-go or of all `Goals`.
     """
@@ -106,7 +106,9 @@ class TruncatedPolicy(Policy):
     like: TruncatedPolicy | None = None
     solver: Callable[[AssistPOMDP], Policy] | None = None
     solved: dict[tuple[float, ...], tuple[LeafEstimates, ...]] = field(default_factory=dict, repr=False)
-    bounds: dict[tuple[float, bool], list[tuple[float, TruncatedProblem]]] = field(default_factory=dict, repr=False)
+    bounds: dict[tuple[float, bool, bool], list[tuple[float, TruncatedProblem]]] = field(
+        default_factory=dict, repr=False
+    )
     found: dict[int, TruncatedTask] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -134,15 +136,15 @@ class TruncatedPolicy(Policy):
         return self.found[id(known)]
 
     def bounded(
-        self, entry: float, *, with_outer: bool = False, limits: BoundLimits = NO_LIMITS
+        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
     ) -> list[tuple[float, TruncatedProblem]]:
         """Return each goal's probability and its problem for an upper bound, computed once.
 
         The arguments are those of `truncated_bound.bounded`, for all goals together.
         """
-        for key in (entry, True), (entry, with_outer):  # with the outer relaxation it includes everything
-            if key in self.bounds:
-                return self.bounds[key]
+        for outer in (True, with_outer):  # with the outer relaxation it includes everything
+            if (entry, outer, theta_moves) in self.bounds:
+                return self.bounds[entry, outer, theta_moves]
         ground, found = self.ground, list[tuple[float, TruncatedProblem]]()
         shares = list(prior_of(ground.known).values())
         possible = [number for number, share in enumerate(shares) if share > 0]
@@ -150,10 +152,10 @@ class TruncatedPolicy(Policy):
             share = replace(limits.shared(len(possible) - done), kept_mb=limits.kept_mb / len(possible))
             problem = bounded(
                 self.problem.task_of(number), self.assumed, entry=entry, size=ground.size, with_outer=with_outer,
-                limits=share, among=ground.known,
+                theta_moves=theta_moves, limits=share, among=ground.known,
             )  # fmt: skip
             found.append((shares[number], problem))
-        self.bounds[entry, with_outer] = found
+        self.bounds[entry, with_outer, theta_moves] = found
         return found
 
     @cached_property

@@ -15,6 +15,7 @@ from assist.people.choices import Choices
 from assist.people.goals import Goals
 from assist.people.neighbours import Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
 from assist.people.ranges import Population
+from assist.person import truncated_bound
 from assist.person.settings import Setting
 from assist.team.pool import Pool
 from planner import OnDemand, sweep_goals
@@ -28,10 +29,13 @@ TASKS = {
 RULES = {"outcome": SeenOutcome(0.3), "followed": SeenFollowed(0.2, 0.1), "steps": SeenSteps(1.0, 1.5)}
 
 
+PEOPLE = Population(beta=(0.6, 0.6), theta=(0.3, 0.8))
+
+
 def pool_of(task: Choices | Table | OnDemand | Goals, rule: SeenRule, **fields: object) -> Pool:
     given = {"c_suggest": 0.2, "c_move": 0.1, "gamma": 0.9, "knowledge": "exact"} | fields
     setting = Setting(neighbours=Neighbours(rule=rule, matrix=((0, 0.9), (0.6, 0))), **given)  # type: ignore[arg-type]
-    return Pool.sample(task, 2, seed=1, setting=setting, population=Population(beta=(0.6, 0.6), theta=(0.3, 0.8)))
+    return Pool.sample(task, 2, seed=1, setting=setting, population=PEOPLE)
 
 
 def informed_optimum(pool: Pool) -> float:
@@ -111,8 +115,7 @@ def test_the_bound_is_at_least_the_optimum_with_theta_in_sight(task: str) -> Non
     optimum, bound = informed_optimum(pool), upper_bound(pool, [0, 1])
     assert optimum - 1e-6 <= bound.upper <= optimum + 0.1 * abs(optimum)
     # A bound without what they see would be too low: the test can fail.
-    people = Population(beta=(0.6, 0.6), theta=(0.3, 0.8))
-    alone = Pool.sample(TASKS[task], 2, seed=1, setting=replace(pool.setting, neighbours=None), population=people)
+    alone = Pool.sample(TASKS[task], 2, seed=1, setting=replace(pool.setting, neighbours=None), population=PEOPLE)
     assert upper_bound(alone, [0, 1]).upper_seen < optimum
 
 
@@ -155,9 +158,20 @@ def test_refusals(tiny: Table) -> None:
         upper_bound(pool_of(tiny, Boundless()), [0, 1], time_limit=3)
     with pytest.raises(ValueError, match="paths 4: expected 0, as sample paths do not have what people see"):
         upper_bound(pool_of(tiny, SeenFollowed()), [0, 1], time_limit=3, paths=4)
-    pool = pool_of(OnDemand(tiny.task, jobs=1), SeenFollowed())
-    with pytest.raises(ValueError, match="a bound with neighbours who see each other: expected an enumerated task"):
-        upper_bound(pool, [0, 1], time_limit=3)
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_a_bound_on_a_part_is_one_of_the_task(tiny: Table, rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where gains move theta, those of a part may have any size; otherwise all of the task has the task's bound."""
+    whole, bounds = pool_of(tiny, RULES[rule]), list[float]()
+    exact = upper_bound(whole, [0, 1], window=0).upper
+    for task, size in ((tiny, 3), (tiny, 8), (OnDemand(tiny.task, jobs=1), 12), (tiny, 10_000)):
+        monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, hidden=size, hidden_least=size))
+        pool = Pool.sample(task, 2, seed=1, setting=whole.setting, population=PEOPLE, states=1)
+        bounds.append(upper_bound(pool, [0, 1], window=0).upper)
+    assert min(bounds) > exact - 1e-9
+    assert sorted(bounds, reverse=True) == pytest.approx(bounds, abs=1e-9)
+    assert (bounds[-1] == pytest.approx(exact, abs=1e-4)) == (rule != "outcome")
 
 
 def test_the_bound_holds_with_several_goals(tiny: Table) -> None:
