@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -28,19 +29,25 @@ BOUNDS: dict[str, tuple[str, str, dict[str, Any]]] = {
             "suggestions": ["all"], "task": ["dead ends"], "observation": ["unreliable"],
         }.items() for name in names
     },
+    "team, truncated, executes": ("execute", "executes", {"window": 0, "truncated": True}),
+    "team, truncated, neighbours": ("neighbours", "all see it followed", {"window": 0, "truncated": True}),
 }  # fmt: skip
 
 
-def pool(feature: Feature) -> Pool:
+def pool(feature: Feature, *, truncated: bool = False) -> Pool:
     """Return two people whom the robot does not know, with a feature."""
+    if truncated:
+        feature = replace(feature, pool=feature.pool | AXES["size"]["truncated"].pool)
     setting = Setting(**PLAIN | {"gamma": 0.9, "knowledge": "exact"} | feature.setting)
     return Pool.sample(task(feature.task or "kitting/tiny"), 2, seed=1, setting=setting, **feature.pool)
 
 
 def team(axis: str, name: str, options: dict[str, Any]) -> dict[str, Any]:
     """Return a bound on all policies of a team, and how far three of them are from it."""
+    options = dict(options)
     try:
-        found = upper_bound(pool(AXES[axis][name] if name else Feature()), gap=1e-3, jobs=1, options=FEW, **options)
+        people = pool(AXES[axis][name] if name else Feature(), truncated=options.pop("truncated", False))
+        found = upper_bound(people, gap=1e-3, jobs=1, options=FEW, **options)
         policies = {policy: found.certify(policy, episodes=64, seed=1) for policy in ("none", "attention", "priority")}
     except (ValueError, LimitError) as error:
         return {"refused": f"{type(error).__name__}: {error}"}

@@ -19,10 +19,14 @@ def relaxed_value(bound: TeamBound, *, episodes: int = 20_000, seed: Seed = 0) -
     Optimal policies of the relaxed problem have at least this value, and the bound is at least theirs. So the part of a
     certificate's gap below this mean is due to the relaxation and the team policy, not to the solver. Costs after the
     horizon, at most a millionth of the dearest step for each person, are left out.
+
+    Raises
+    ------
+    ValueError
+        A task is truncated: its relaxed problem ends at the frontier, with bounds that are values of no policy.
     """
-    beyond = "what comes beyond a truncated one is bounded, and not simulated"
-    for policy in bound.pool.policies:
-        policy.problem.require_enumerated("relaxed_value", beyond)
+    if any(policy.problem.region is not None for policy in bound.pool.policies):
+        raise ValueError("relaxed_value: expected an enumerated task, as bounds of a truncated one end at its frontier")
     episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
     gamma = bound.pool.setting.gamma
     price = bound.price if bound.on_actions is None else np.vstack([bound.price, bound.on_actions])

@@ -100,12 +100,6 @@ class ProblemRows(Protocol):
         """Return the task state of each place, shape (N,)."""
         ...
 
-    def require_enumerated(self, what: str, why: str) -> None:
-        """Check that all states are enumerated. If not, the `ValueError` says that `what` needs them, and `why`."""
-        if self.region is not None:
-            size = f"{len(self.task):,} states or more"
-            raise ValueError(f"{what}: expected an enumerated task, as {why}; this one is too large, with {size}")
-
     @property
     def now(self) -> Snapshot:
         """The problem on all rows so far."""

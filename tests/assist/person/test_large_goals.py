@@ -239,7 +239,7 @@ def test_the_size_of_a_part_counts_goals_and_memory() -> None:
 
 
 def test_the_size_of_a_part_counts_memory_where_the_goal_is_known() -> None:
-    table = TASKS["sealed"].tables["a"]
+    table = three_goals("sealed").tables["a"]
     policies = Pool.sample(table, 3, seed=1, states=1, memory_limit_mb=1.0).policies
     assert {policy.ground.size for policy in policies} == {states_within(1.0, [table], 3)} == {41}  # type: ignore[attr-defined]
     with pytest.raises(LimitError, match="policies for 3 people, on as few as 20 states, take about 0 MB of memory"):
