@@ -9,20 +9,18 @@ from planner import LimitError, Table
 from ..people.arguments import require_goal
 from ..people.choices import Choices
 from ..people.goals import Goals, each_of, first_of
-from ..people.hidden_type import several
 from ..people.memory import choices_of
 from ..person.memory_needed import ONE_FOR_ALL, policy_bytes, require_room
 from ..person.settings import Setting
 
 
 def affordable_choices(
-    table: Table | Goals | Choices, setting: Setting, terms: Sequence[str], size: int, memory_limit_mb: float, *,
-    required: bool,
-) -> Choices | None:  # fmt: skip
+    table: Table | Goals | Choices, setting: Setting, terms: Sequence[str], size: int, memory_limit_mb: float
+) -> Choices | None:
     """Return the choices in an enumerated task, with the memory of people whose choices have terms.
 
-    The result is None if the policies for several goals would exceed the memory limit, and the task may be truncated:
-    on fewer states for each goal (`states_within`).
+    The result is None if the policies would exceed the memory limit, and the task can be truncated: to as many states
+    as it allows (`states_within`).
 
     Parameters
     ----------
@@ -34,20 +32,18 @@ def affordable_choices(
         Number of people.
     memory_limit_mb : float
         Memory of all policies, and of all people, in MB.
-    required : bool
-        Whether the task must be enumerated.
 
     Raises
     ------
     LimitError
-        The policies or the people would exceed the memory limit.
+        The people would exceed the memory limit, or policies on choices that are given as such.
     ValueError
         The goal is unreachable.
     """
     try:
         choices = _choices(table, setting, terms, size, memory_limit_mb)
     except LimitError:
-        if required or isinstance(table, Choices) or not several(each_of(table)):
+        if isinstance(table, Choices):
             raise
         return None
     require_room_for_people(size, choices.h.nbytes, memory_limit_mb)

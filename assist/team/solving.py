@@ -53,8 +53,8 @@ class Solving(TypedDict, total=False):
         Memory of all QMDP policies in MB; it is estimated before anything is allocated.
     states : int
         Largest number of states of a table that is enumerated. It is `MAX_ENUMERATED` if people have a memory, if
-        another solver is given, or if people are asked for their goals. Tables of several goals are enumerated if their
-        policies do not exceed the memory limit.
+        another solver is given, or if people are asked for their goals. A table is truncated in any case if the
+        policies would exceed the memory limit.
     region : int or None
         Number of states of a policy's truncated task, for each goal; by default
         `assist.person.shared_task.default_size`, or fewer for many people or goals, by the memory limit.
@@ -95,7 +95,7 @@ def solved_on_demand(
     most = MAX_ENUMERATED if asks or own or terms else states
     choices: Choices | None = None
     if isinstance(table, Choices) or is_whole(table, most):
-        choices = affordable_choices(table, setting, terms, them.size, limit, required=bool(terms))
+        choices = affordable_choices(table, setting, terms, them.size, limit)
     if choices is None:
         assert not isinstance(table, Choices)
         return _truncated(table, them, setting, prior, **solving)

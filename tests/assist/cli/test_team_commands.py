@@ -267,7 +267,7 @@ def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_pat
         (
             ("simulate", "--set", "memory_limit=0.5"),
             1,
-            "tiny.pddl: policies for 12 people on a task of 21 states take about",
+            "tiny.pddl: policies for 12 people, on as few as 20 states, take about",
         ),
         (("bound", "--set", "memory_limit=1"), 1, "2 problems of people, each of up to"),
         (("simulate", "--policy", "Attention"), 2, "'Attention'; did you mean 'attention'"),
