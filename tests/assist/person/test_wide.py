@@ -98,9 +98,6 @@ def test_policies_answer_without_being_solved(tiny: Table) -> None:
     assert (whole.problem.region, part.problem.region) == (None, part.ground.size)
     assert whole.problem.cheapest == part.problem.cheapest == 1
     assert whole.problem.task.initial == part.problem.task.initial
-    whole.problem.require_enumerated("this", "that is so")
-    with pytest.raises(ValueError, match="this: expected an enumerated task"):
-        part.problem.require_enumerated("this", "that is so")
     assert not whole._solved  # type: ignore[attr-defined]
     assert not part.solved  # type: ignore[attr-defined]
     assert "region" not in vars(part)
