@@ -352,12 +352,15 @@ def wrong(message: str, *place: str | int) -> DeclarationError:
     return DeclarationError(place, None, message, f"{spelt(place)}: {message}")
 
 
-def numbered(name: str, tables: Source | tuple[Source, ...]) -> Iterator[tuple[Place, Source]]:
-    """Yield a table, or each of a list, with its place in a file."""
-    if isinstance(tables, tuple):
-        yield from (((name, number), table) for number, table in enumerate(tables))
-    else:
-        yield (name,), tables
+def matching(pattern: str, right: str) -> AfterValidator:
+    """Return a validator that refuses texts without this pattern; `right` says what is expected."""
+
+    def checked(text: str) -> str:
+        if not re.fullmatch(pattern, text, re.ASCII):
+            raise ValueError(f"{text!r}; expected {right}")
+        return text
+
+    return AfterValidator(checked)
 
 
 def _meant(name: str, known: Collection[str]) -> str:
@@ -441,3 +444,20 @@ class BridgeSettings:
             found = convert(toml.load(file), cls, file)
             found.require(robots)
             return found
+
+
+@declared(kw_only=True)
+class Observing(BridgeSettings):
+    """The settings of a bridge that reads what another program publishes."""
+
+    observe: Annotated[Source | tuple[Source, ...], Field(description="What is read.")]
+
+    @property
+    def sources(self) -> tuple[Any, ...]:
+        """The tables `observe`."""
+        return self.observe if isinstance(self.observe, tuple) else (self.observe,)
+
+    def reporting(self) -> Iterator[tuple[Place, Source]]:
+        """Yield the tables `observe`, each with its number if there is a list of them."""
+        for number, source in enumerate(self.sources):
+            yield ("observe", number) if isinstance(self.observe, tuple) else ("observe",), source

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import os
 import ssl
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import field
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from ...declare.declared import Expected, Number, Place, Text, Texts, Truth, Whole, declared, names_of
+from ...declare.declared import Expected, Number, Text, Texts, Truth, Whole, declared, names_of
 from ...live.views import PersonView, RobotView
 from .messages import (
-    BridgeSettings,
     EventKind,
     Fields,
+    Observing,
     Source,
     Template,
     Topic,
     fields_of,
-    numbered,
     require_among,
     wrong,
 )
@@ -88,7 +87,7 @@ class Plain:
 
 
 @declared(kw_only=True)
-class MqttSettings(BridgeSettings):
+class MqttSettings(Observing):
     """Settings of the MQTT bridge. With several robots, their topics have the field `{robot}`, a number from 1."""
 
     observe: Annotated[
@@ -120,15 +119,6 @@ class MqttSettings(BridgeSettings):
                 raise wrong(f"{table.topic.text!r}; expected {expected} in it", place, "topic")
         for place, output, known in (("advice", self.advice, VIEW), ("robot", self.robot, ERRAND)):
             require_among(None if output is None else output.fields, known, place)
-
-    @property
-    def sources(self) -> tuple[Observed, ...]:
-        """The messages that report events."""
-        return self.observe if isinstance(self.observe, tuple) else (self.observe,)
-
-    def reporting(self) -> Iterator[tuple[Place, Source]]:
-        """Yield the tables `observe`."""
-        yield from numbered("observe", self.observe)
 
     @property
     def port(self) -> int:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
 from ...declare.declared import Expected, Place, Text, declared
-from .messages import ActionTemplate, BridgeSettings, EventKind, Source, Template, numbered
+from .messages import ActionTemplate, BridgeSettings, EventKind, Observing, Source, Template, matching
 
 PASSWORD = "KITASSIST_OPCUA_PASSWORD"
 
@@ -26,20 +25,8 @@ def _user(name: str) -> str:
     return name
 
 
-def _url(url: str) -> str:
-    if not re.fullmatch(r"opc\.tcp://[^\s/:]+(:\d+)?(/\S*)?", url):
-        raise ValueError(f"{url!r}; expected opc.tcp://host:port/path")
-    return url
-
-
-def _node(node: str) -> str:
-    if not re.fullmatch(r"(ns=\d+;)?[isgb]=.+", node):
-        raise ValueError(f"{node!r}; expected a node id, such as ns=2;s=Station.Pick")
-    return node
-
-
-Node = Annotated[Text, AfterValidator(_node)]
-Url = Annotated[Text, AfterValidator(_url)]
+Node = Annotated[Text, matching(r"(ns=\d+;)?[isgb]=.+", "a node id, such as ns=2;s=Station.Pick")]
+Url = Annotated[Text, matching(r"opc\.tcp://[^\s/:]+(:\d+)?(/\S*)?", "opc.tcp://host:port/path")]
 User = Annotated[Text, AfterValidator(_user)]
 
 
@@ -74,7 +61,7 @@ class Advice:
 
 
 @declared(kw_only=True)
-class OpcUaSettings(BridgeSettings):
+class OpcUaSettings(Observing):
     """Settings of the bridge to another program's OPC UA server."""
 
     server: Annotated[Server, Field(description="The server of the other program.")]
@@ -84,10 +71,6 @@ class OpcUaSettings(BridgeSettings):
         Expected("one table or more"),
     ]
     advice: Annotated[tuple[Advice, ...], Field(description="Where suggestions are written.")] = ()
-
-    def reporting(self) -> Iterator[tuple[Place, Source]]:
-        """Yield the tables `observe`."""
-        yield from numbered("observe", self.observe)
 
     def named(self) -> Iterator[tuple[Place, str]]:
         """Yield also the people whose suggestions are written."""

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import field
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from ...declare.declared import AnyTable, Expected, Place, Text, Texts, declared
 from ...declare.refusals import Refusal
 from .messages import (
     FIELD,
-    BridgeSettings,
     EventKind,
     Fields,
+    Observing,
     Source,
     Template,
     fields_of,
-    numbered,
+    matching,
     require_among,
     texts_of,
     unusable,
@@ -28,40 +27,26 @@ from .messages import (
 from .mqtt_settings import VIEW
 
 STRING = "std_msgs/msg/String"
-NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-TYPE = re.compile(r"[a-z]\w*/((msg|action)/)?[A-Z]\w*", re.ASCII)
-
 ANSWER = "person", "id", "status", "detail", "seq"
 NULLABLE = {"reason", "cost_to_go", "state_probability", "question", "answered"}  # which messages of ROS cannot have
 
 
-def _name(name: str) -> str:
-    if not NAME.fullmatch(name.replace("{robot}", "1")):
-        raise ValueError(f"{name!r}; expected a name of ROS: letters, digits, _ and / between them")
-    return name
-
-
-def _type(type: str) -> str:
-    if not TYPE.fullmatch(type):
-        raise ValueError(f"{type!r}; expected a type of ROS, such as {STRING}")
-    return type
-
-
-def _url(url: str) -> str:
-    if not re.fullmatch(r"wss?://[^\s/:]+(:\d+)?(/\S*)?", url):
-        raise ValueError(f"{url!r}; expected ws://host:port or wss://host")
-    return url
-
-
-Name = Annotated[Text, AfterValidator(_name)]
-Type = Annotated[Text, AfterValidator(_type)]
+Name = Annotated[
+    Text,
+    matching(
+        r"/?[A-Za-z_](\w|\{robot\})*(/[A-Za-z_](\w|\{robot\})*)*",
+        "a name of ROS: letters, digits, _ and / between them",
+    ),
+]
+Type = Annotated[Text, matching(r"[a-z]\w*/((msg|action)/)?[A-Z]\w*", f"a type of ROS, such as {STRING}")]
+Url = Annotated[Text, matching(r"wss?://[^\s/:]+(:\d+)?(/\S*)?", "ws://host:port or wss://host")]
 
 
 @declared
 class Rosbridge:
     """The table `rosbridge`."""
 
-    url: Annotated[Text, AfterValidator(_url)]
+    url: Url
 
 
 @declared(kw_only=True)
@@ -151,7 +136,7 @@ def _filled(template: Any, fields: Mapping[str, Any]) -> Any:
 
 
 @declared(kw_only=True)
-class Ros2Settings(BridgeSettings):
+class Ros2Settings(Observing):
     """Settings of the ROS 2 bridge."""
 
     rosbridge: Annotated[Rosbridge, Field(description="The server of rosbridge.")]
@@ -179,15 +164,6 @@ class Ros2Settings(BridgeSettings):
                 go_to.goal_for(person)  # type: ignore[union-attr]
             except Refusal as error:
                 raise wrong(str(error).partition(": ")[2], "go_to", "places", person) from None
-
-    @property
-    def sources(self) -> tuple[Observed, ...]:
-        """The topics with reports."""
-        return self.observe if isinstance(self.observe, tuple) else (self.observe,)
-
-    def reporting(self) -> Iterator[tuple[Place, Source]]:
-        """Yield the tables `observe`."""
-        yield from numbered("observe", self.observe)
 
     def named(self) -> Iterator[tuple[Place, str]]:
         """Yield also the people whose places are named."""
