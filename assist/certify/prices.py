@@ -4,7 +4,7 @@ The prices are the dual variables of the constraint that M robots attend to at m
 subgradient method raises the price of a step in which more than M robots would be busy, and lowers it otherwise. Every
 price vector gives a valid bound; the method approaches the tightest one.
 
-Why the bound holds for people whose goals are unknown stands at `certify.each_goal`.
+Why the bound holds for people whose goals are unknown stands at `person.each_goal`.
 """
 
 from __future__ import annotations

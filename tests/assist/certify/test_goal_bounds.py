@@ -21,6 +21,7 @@ from assist.certify.relaxed_value import relaxed_value
 from assist.people import Goals, HumanModel, Population
 from assist.people.trust_rules import outcome
 from assist.person import AssistPOMDP, Setting, Solution, SolverOptions, qmdp, solve
+from assist.person.behaviour import Behaviour
 from assist.person.each_goal import given_goals
 from assist.person.mdp_values import evaluate
 from assist.person.robots import OfRobots
@@ -149,7 +150,7 @@ def solved(**more: Any) -> Solution:
     return solve(problem(ring((0.45, 0.45, 0.1)), **more), gap=1e-5)
 
 
-@pytest.mark.parametrize("more", [{}, {"suggestions": "all"}, {"trust": outcome()}], ids=str)
+@pytest.mark.parametrize("more", [{}, {"suggestions": "all"}, {"behaviour": Behaviour(trust=outcome())}], ids=str)
 def test_the_solver_encloses_the_value_with_unknown_goals(more: dict[str, Any]) -> None:
     """Compared with an enumeration of histories; the value with known goals is out of reach here."""
     found = solved(**more)

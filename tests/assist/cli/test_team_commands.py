@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from conftest import KITTING, invoke, kit
 
-from assist.learning.population import mixture
+from assist.learning.distribution import mixture
 from assist.person.settings import Setting
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
