@@ -23,6 +23,7 @@ from assist.live.assistant import Assistant
 from assist.live.desk import Desk
 from assist.live.event_base import Event, TeamEvent
 from assist.live.events import Acted, Began, Joined, kinds
+from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
 from assist.live.store import JournalError, stored
 from assist.live.team import Team
@@ -504,3 +505,43 @@ def test_an_interrupted_batch_leaves_nothing_unsaved(
     assert session.person("ann")["steps"] == 0
     session.observe("ann", "(fetch box-a)")
     assert opened().person("ann")["steps"] == 1
+
+
+def test_what_time_causes_is_due_also_after_a_restart(tiny: Table, tmp_path: Path) -> None:
+    """The time in which a session does not run does not count, and an event begins the time anew."""
+    clock, setting = [0.0], LiveSetting(c_suggest=0.02, c_move=0.01, tick=30.0)
+
+    def opened() -> Session:
+        return Session(tiny, tmp_path / "journal.sqlite", setting=setting, population=EASY, clock=lambda: clock[0])
+
+    session = opened()
+    session.join("ann")
+    assert session.due() == ([], 30.0)
+    clock[0] = 20.0
+    session.join("bob")
+    session.close()
+    session, clock[0] = opened(), 29.0
+    assert session.due() == ([], 21.0)
+    clock[0] = 51.0
+    (event,), _ = session.due()
+    assert event.kind == "elapsed"
+    session.report(event)
+    assert session.due() == ([], 30.0)  # also if the robot did nothing new, of which nothing is recorded
+    session.close()
+
+
+def test_a_suggestion_that_is_open_again_is_answered_on_a_view_with_it(tiny: Table, tmp_path: Path) -> None:
+    session = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING, population=EASY)
+    session.join("ann")
+    first = session.person("ann")
+    action = first["suggestion"]
+    later = session.observe("ann", action)
+    again = session.undo("ann")
+    assert action is not None
+    assert (again["suggestion"], again["reason"]) == (action, first["reason"])
+    assert later["seq"] < again["seq"]
+    for seq, answered in ((again["seq"], action), (later["seq"], None)):
+        session.observe("ann", action, seq=seq)
+        assert session.log()[-1]["suggestion"] == answered
+        session.undo("ann")
+    session.close()
