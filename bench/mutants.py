@@ -67,7 +67,7 @@ TESTS = {
     "planner/pddl": "planner/pddl",
     "planner/grounding": "planner/grounding test_engine test_engine_numbers",
     "planner/search": "planner/search test_engine test_engine_numbers",
-    "planner/costtogo": "planner/costtogo test_engine test_engine_numbers",
+    "planner/costtogo": "planner/costtogo test_state_indices test_engine test_engine_numbers",
     "planner/batch": "planner/batch",
     "assist/declare": "assist/declare assist/people",
     "assist/people": "assist/people",

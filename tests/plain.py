@@ -1,18 +1,50 @@
-"""A simple enumeration of a task's states by the definition of its actions, as a reference for the sweep."""
+"""Tasks by hand, and a simple enumeration of states by the definition of actions, as a reference for the sweep."""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import Effect, Operator, Variable, instance
 from planner.grounding.semantics import derived, successors
 from planner.grounding.task import Fact, Task
 from planner.search.state_space import UNREACHED, Part, StateSpace
 from planner.system.arrays import Ints
+
+Move = tuple[dict[int, int], dict[int, int]]
+"""Values of variables that an action needs, and those that it then gives them."""
+
+
+def task_of(sizes: Sequence[int], operators: Iterable[Move | Operator], **fields: Any) -> Task:
+    """Return a task of variables with these numbers of values, in which each move is an action.
+
+    Unless fields of the task are given, all variables are 0 first, actions cost 1, and the goal is empty.
+    """
+    found = [
+        one
+        if isinstance(one, Operator)
+        else Operator(number, tuple(one[0].items()), tuple(Effect((), v, value) for v, value in one[1].items()))
+        for number, one in enumerate(operators)
+    ]
+    count = len(fields.get("costs", ())) or 1 + max((one.action for one in found), default=-1)
+    values: dict[str, Any] = {
+        "instance": instance("made.pddl"),
+        "variables": tuple(
+            Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1) for v, size in enumerate(sizes)
+        ),
+        "actions": tuple(f"(a{a:04})" for a in range(count)),
+        "costs": (1,) * count,
+        "operators": tuple(found),
+        "axioms": (),
+        "initial": (0,) * len(sizes),
+        "goal": (),
+    }
+    return Task(**values | fields)
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import DOMAINS, KITTING, graph_task, table_of, write_instance
+from plain import task_of
 
-from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load, sweep
+from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, Task, cost_to_go, load, sweep
 from planner.costtogo.astar import fastest_search
 from planner.grounding.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
 from planner.grounding.semantics import plan_cost
@@ -291,32 +292,19 @@ def test_the_plan_that_chose_the_search_is_kept(monkeypatch: pytest.MonkeyPatch)
     assert others == []
 
 
-CORRIDOR = """
-(define (domain corridor)
-  (:requirements :strips :typing :action-costs)
-  (:types place)
-  (:constants f - place)
-  (:predicates (at ?a - place) (next ?a ?b - place) (rung))
-  (:functions (total-cost) - number)
-  (:action walk :parameters (?a ?b - place) :precondition (and (at ?a) (next ?a ?b))
-    :effect (and (not (at ?a)) (at ?b) (increase (total-cost) 0)))
-  (:action ring :parameters () :precondition (at f) :effect (and (rung) (increase (total-cost) 2))))
-"""
-CORRIDOR_PROBLEM = """
-(define (problem p) (:domain corridor)
-  (:objects a b c d e - place)
-  (:init (at a) (next a b) (next b c) (next c d) (next d e) (next e f) (= (total-cost) 0))
-  (:goal (rung))
-  (:metric minimize (total-cost)))
-"""
+def corridor(jump: int | None = None) -> Task:
+    """Return five free steps and then a bell, which costs 2; or a bell at once, at the cost of a jump."""
+    moves = [*(({0: at}, {0: at + 1}) for at in range(5)), ({0: 5}, {1: 1}), ({}, {1: 1})]
+    count = len(moves) - (jump is None)
+    return task_of([6, 2], moves[:count], costs=(0, 0, 0, 0, 0, 2, jump or 0)[:count], goal=((1, 1),))
 
 
 def test_where_actions_are_free_a_plan_too_long_from_the_start_is_no_reason_to_refuse_other_states(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for module in ("astar", "on_demand"):
         monkeypatch.setattr(f"planner.costtogo.{module}.UNIT", 4)
-    asked = OnDemand(load(write_instance(tmp_path, CORRIDOR, CORRIDOR_PROBLEM)))
+    asked = OnDemand(corridor())
     state = np.array([asked.initial])
     for _ in range(4):
         state = asked.choices(state).targets
@@ -326,13 +314,12 @@ def test_where_actions_are_free_a_plan_too_long_from_the_start_is_no_reason_to_r
 
 
 def test_where_actions_are_free_a_cheaper_plan_of_many_more_actions_is_not_overlooked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In combined costs the jump is 13 and the walk 14, though the walk costs less."""
     for module in ("astar", "on_demand"):
         monkeypatch.setattr(f"planner.costtogo.{module}.UNIT", 4)
-    jump = "(:action jump :parameters () :effect (and (rung) (increase (total-cost) 3)))"
-    task = load(write_instance(tmp_path, CORRIDOR.replace("(:action ring", f"{jump}\n(:action ring"), CORRIDOR_PROBLEM))
+    task = corridor(jump=3)
     table, asked = sweep(task), OnDemand(task)
     assert table[table.initial] == 2
     assert plan_cost(task, asked.optimal_plan() or []) == 2

@@ -7,14 +7,24 @@ import random
 import threading
 import time
 from dataclasses import replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, thinned
-from plain import distances, explore
+from conftest import KITTING
+from plain import distances, explore, task_of
 
-from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load, open_table, save_table
+from planner import (
+    Effect,
+    LimitError,
+    OnDemand,
+    Operator,
+    Table,
+    Task,
+    load,
+    open_table,
+    save_table,
+)
 from planner.search.ranked_index import RankedIndex
 from planner.search.state_ranking import StateRanking
 from planner.search.state_registry import RegistryIndex
@@ -65,6 +75,10 @@ def check(task: Task, options: SweepOptions = COMPILED) -> Table:
     np.testing.assert_array_equal(few.offsets, own.offsets)
     np.testing.assert_array_equal(few.actions, own.actions)
     np.testing.assert_array_equal(few.targets, numbers[own.targets])
+    asked = OnDemand(task)
+    few = asked.choices(asked.numbers(values[:50]))
+    np.testing.assert_array_equal(few.actions, own.actions)
+    np.testing.assert_array_equal(asked.values(few.targets), values[own.targets])
     reached = {tuple(row) for row in values.tolist()}
     rng = random.Random(len(space))
     for _ in range(20):
@@ -137,68 +151,17 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
     rules = []
     for v in range(primary, len(sizes)):
         rules += [Effect(facts(v, 2), v, 0) for _ in range(rng.randint(1, 2))]
-    return Task(
-        instance=instance("random.pddl"),
-        variables=tuple(
-            Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1 if v < primary else v - primary)
-            for v, size in enumerate(sizes)
-        ),
-        actions=tuple(f"(a{a:02})" for a in range(names)),
+    task = task_of(
+        sizes,
+        operators,
         costs=tuple(rng.choice(costs) for _ in range(names)),
-        operators=tuple(operators),
         axioms=tuple(rules),
         initial=tuple(initial),
         goal=facts(len(sizes), 2),
         mutexes=tuple(map(tuple, groups)),
     )
-
-
-@pytest.mark.parametrize("costs", thinned([range(3), range(1, 2), range(5, 100_000, 7), range(1)]), ids=str)
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 5))])
-def test_random_tasks(seed, costs, monkeypatch):
-    with_blocks_of(64, monkeypatch)  # smaller blocks are left to one thread
-    rng = random.Random(f"{seed} {costs}")
-    for _ in range(25):
-        check(random_task(rng, costs=costs))
-
-
-@pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
-def test_random_tasks_whose_sets_of_moves_do_not_fit_the_cache(costs, monkeypatch):
-    monkeypatch.setattr(successor_generator, "candidates", partial(successor_generator.candidates, max_bytes=0))
-    rng = random.Random(f"trie {costs}")
-    for _ in range(25):
-        check(random_task(rng, costs=costs))
-
-
-@pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
-def test_random_tasks_where_memory_is_short(costs, monkeypatch):
-    monkeypatch.setattr(ranked_index, "CLOSED_BITMAP_SHARE", 0)
-    rng = random.Random(f"short {costs}")
-    for _ in range(25):
-        check(random_task(rng, costs=costs))
-
-
-@pytest.mark.parametrize("seed", thinned(range(4)))
-def test_random_tasks_with_axioms(seed):
-    rng = random.Random(seed)
-    for _ in range(20):
-        task = random_task(rng, axioms=True, costs=range(3))
-        check(task)
-        assert "derived variables" in sweep(task, options=COMPILED).note
-
-
-def test_random_tasks_with_axioms_in_circles():
-    rng = random.Random("circles")
-    for _ in range(15):
-        task = random_task(rng, axioms=True)
-        derived = [v for v, variable in enumerate(task.variables) if variable.axiom_layer >= 0]
-        facts = [
-            (v, value) for v, size in enumerate(map(len, (v.facts for v in task.variables))) for value in range(size)
-        ]
-        facts = [(v, value) for v, value in facts if v not in derived or value == 0]  # derived facts are not negated
-        axioms = tuple(Effect(tuple(rng.sample(facts, 2)), v, 0) for v in derived for _ in range(3))
-        layers = [replace(v, axiom_layer=0) if v.axiom_layer >= 0 else v for v in task.variables]
-        check(replace(task, variables=tuple(layers), axioms=axioms))
+    layers = [replace(v, axiom_layer=max(-1, number - primary)) for number, v in enumerate(task.variables)]
+    return replace(task, variables=tuple(layers))
 
 
 def test_the_plain_sweep_can_be_stopped():
@@ -212,15 +175,6 @@ def test_the_plain_sweep_can_be_stopped():
 def listed(monkeypatch):
     """Disable rankings, so that the sweep stores them."""
     monkeypatch.setattr(numbering, "split_operators", lambda *_: None)
-
-
-@pytest.mark.usefixtures("listed")
-@pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
-def test_random_tasks_without_a_ranking(costs, monkeypatch):
-    monkeypatch.setattr("planner.search.state_registry.STATES_AT_A_TIME", 3)
-    rng = random.Random(f"listed {costs}")
-    for _ in range(20):
-        check(random_task(rng, costs=costs))
 
 
 @pytest.mark.usefixtures("listed")
@@ -279,27 +233,10 @@ def test_a_task_of_many_blocks(smaller, monkeypatch):
     check(smaller)
 
 
-def counter(bits: int, *, costs: tuple[int, ...] = ()) -> Task:
+def counter(bits: int, **fields: Any) -> Task:
     """Return a binary counter, which passes through all its states in turn."""
-    variables = tuple(Variable(f"var{v}", (f"Atom zero({v})", f"Atom one({v})"), -1) for v in range(bits))
-    operators = tuple(
-        Operator(
-            v,
-            (*((u, 1) for u in range(v)), (v, 0)),
-            (*(Effect((), u, 0) for u in range(v)), Effect((), v, 1)),
-        )
-        for v in range(bits)
-    )
-    return Task(
-        instance=instance("counter.pddl"),
-        variables=variables,
-        actions=tuple(f"(a{v:02})" for v in range(bits)),
-        costs=costs or (1,) * bits,
-        operators=operators,
-        axioms=(),
-        initial=(0,) * bits,
-        goal=tuple((v, 1) for v in range(bits)),
-    )
+    moves = [(dict.fromkeys(range(v), 1) | {v: 0}, dict.fromkeys(range(v), 0) | {v: 1}) for v in range(bits)]
+    return task_of([2] * bits, moves, goal=tuple((v, 1) for v in range(bits)), **fields)
 
 
 @pytest.mark.parametrize(
@@ -333,18 +270,8 @@ def test_sums_of_costs_that_no_float_holds():
 
 def wide(bits: int) -> Task:
     """Two states' worth of change among many variables, or a hundred."""
-    variables = tuple(Variable(f"var{v}", (f"Atom zero({v})", f"Atom one({v})"), -1) for v in range(bits))
-    operators = tuple(Operator(v, ((v, 0), *((u, 1) for u in range(v))), (Effect((), v, 1),)) for v in range(bits))
-    return Task(
-        instance=instance("wide.pddl"),
-        variables=variables,
-        actions=tuple(f"(a{v:03})" for v in range(bits)),
-        costs=(1,) * bits,
-        operators=operators,
-        axioms=(),
-        initial=(0,) * bits,
-        goal=((bits - 1, 1),),
-    )
+    moves = [({v: 0, **dict.fromkeys(range(v), 1)}, {v: 1}) for v in range(bits)]
+    return task_of([2] * bits, moves, goal=((bits - 1, 1),))
 
 
 @pytest.mark.parametrize("bits", [1, 40, 61, 63, 64, 65, pytest.param(130, marks=pytest.mark.slow)])
@@ -355,36 +282,25 @@ def test_few_states_of_many_bits(bits):
 def test_two_words_with_implied_variables():
     """A token moves through 50 places, each with a variable of its own and its negation."""
     places = 50
-    variables = (
-        Variable("at", tuple(f"Atom at({p})" for p in range(places)), -1),
-        *(Variable(f"free{p}", (f"Atom free({p})", f"NegatedAtom free({p})"), -1) for p in range(2 * places)),
-    )
     groups = [[(0, p), (1 + p, 0)] for p in range(places)]
     groups += [[(1 + p, 1), (1 + places + p, 1)] for p in range(places)]
-    operators = []
+    moves = []
     for p in range(places):
-        q = (p + 7) % places
-        effects = [(0, q), (1 + p, 0), (1 + q, 1), (1 + places + p, 1), (1 + places + q, 0)]
-        facts = ((0, p), (1 + p, 1), (1 + q, 0), (1 + places + p, 0), (1 + places + q, 1))
-        operators.append(Operator(p, facts, tuple(Effect((), v, a) for v, a in effects)))
+        q, other = (p + 7) % places, 1 + places
+        facts = {0: p, 1 + p: 1, 1 + q: 0, other + p: 0, other + q: 1}
+        moves.append((facts, {0: q, 1 + p: 0, 1 + q: 1, other + p: 1, other + q: 0}))
     initial = [0] + [0] * places + [1] * places
     initial[1], initial[1 + places] = 1, 0
-    task = Task(
-        instance("token.pddl"), variables, tuple(f"(a{p:02})" for p in range(places)), (1,) * places,
-        tuple(operators), (), tuple(initial), ((0, 3),), tuple(map(tuple, groups)),
-    )  # fmt: skip
-    table = check(task)
+    mutexes = tuple(map(tuple, groups))
+    table = check(task_of([places] + [2] * 2 * places, moves, initial=tuple(initial), goal=((0, 3),), mutexes=mutexes))
     assert len(table) == places
     assert table.space.numbering.coding.size == places
     assert table.space.numbering.coding.packing.words == 2
 
 
 def test_a_task_without_operators():
-    task = counter(3)
-    still = Task(task.instance, task.variables, (), (), (), (), task.initial, ())
-    assert len(check(still)) == 1
-    assert check(still).distance.tolist() == [0]
-    assert check(Task(task.instance, task.variables, (), (), (), (), task.initial, task.goal)).dead_end.all()
+    assert check(task_of([2] * 3, [])).distance.tolist() == [0]
+    assert check(task_of([2] * 3, [], goal=((0, 1),))).dead_end.all()
 
 
 def test_limits(kitting):
@@ -433,7 +349,7 @@ def test_a_saved_table_is_opened_without_being_read(tmp_path):
     everything = np.arange(len(table))
     np.testing.assert_array_equal(saved.lookup(everything), table.h)
     np.testing.assert_array_equal(saved.values(everything), table.values(everything))
-    assert (len(saved), saved.initial, saved.facts[2, 1]) == (len(table), table.initial, "(one 2)")
+    assert (len(saved), saved.initial, saved.facts[2, 1]) == (len(table), table.initial, "(v2 1)")
     with np.load(file) as arrays:
         assert list(arrays) == ["states", "cost_to_go", "initial", "unit", "word", "shift", "bits", "facts"]
         np.testing.assert_array_equal(arrays["states"], saved.states)

@@ -12,10 +12,10 @@ import pytest
 from conftest import DOMAINS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from plain import explore
-from test_sweep import COMPILED, UNLISTED, check, module, random_task
+from plain import explore, task_of
+from test_sweep import UNLISTED, check, module, random_task
 
-from planner import Effect, Operator, Task, Variable, instance, load
+from planner import Effect, Operator, Task, load
 from planner.search.invariants import PRIME, Mutexes, determined, invariants
 from planner.search.numbering import Digits
 from planner.search.transition_normal_form import split_operators
@@ -109,18 +109,8 @@ def composed(seed: int, *, costs: range) -> Task:
             Effect(tuple(facts(1).items()) if rng.random() < 0.5 else (), v, value) for v, value in facts(2).items()
         ]
         operators_of.append(Operator(len(operators_of), tuple(facts(3).items()), tuple(effects)))
-    return Task(
-        instance=instance("composed.pddl"),
-        variables=tuple(
-            Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1) for v, size in enumerate(sizes)
-        ),
-        actions=tuple(f"(a{a:04})" for a in range(len(operators_of))),
-        costs=tuple(rng.choice(costs) for _ in operators_of),
-        operators=tuple(operators_of),
-        axioms=(),
-        initial=tuple(initial),
-        goal=tuple(facts(2).items()),
-    )
+    prices = tuple(rng.choice(costs) for _ in operators_of)
+    return task_of(sizes, operators_of, costs=prices, initial=tuple(initial), goal=tuple(facts(2).items()))
 
 
 def theorems(task: Task) -> Iterator[str]:
@@ -168,21 +158,6 @@ def test_the_tasks_have_what_is_looked_for() -> None:
     assert said.count("cluster") > 15
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
-)
-@given(st.integers(0, 10**6), st.sampled_from([range(1, 2), range(4), range(3, 90_000, 11)]), st.booleans())
-@pytest.mark.slow
-def test_tables_equal_plain_search(seed: int, costs: range, few: bool) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        only_dense(patch)
-        options = COMPILED if few else UNLISTED  # few states are listed before it is looked for
-        table = check(composed(seed, costs=costs), options)
-        if not few:
-            assert len(table.space.numbering.coding.clusters) <= len(table.task.variables)  # type: ignore[attr-defined]
-        check(random_task(random.Random(seed), costs=costs), options)
-
-
 def test_a_counted_task_has_a_dense_ranking() -> None:
     """41 thousand states of a product of 4e9: the ranking leaves little out."""
     task = load(DOMAINS / "depot" / "five-items.pddl")
@@ -205,22 +180,7 @@ def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:
     moves = [(dict.fromkeys(range(count), a), dict.fromkeys(range(count), (a + 1) % size)) for a in range(size)]
     moves += [({count + t: a}, {count + t: 1 - a}) for t in range(toggles) for a in range(2)]
     moves += [({count + toggles + d: 1}, {count + toggles + d: 0}) for d in range(dead)]
-    operators = [
-        Operator(number, tuple(needs.items()), tuple(Effect((), v, value) for v, value in gains.items()))
-        for number, (needs, gains) in enumerate(moves)
-    ]
-    return Task(
-        instance=instance("tied.pddl"),
-        variables=tuple(
-            Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(own)), -1) for v, own in enumerate(sizes)
-        ),
-        actions=tuple(f"(a{number:04})" for number in range(len(operators))),
-        costs=(1,) * len(operators),
-        operators=tuple(operators),
-        axioms=(),
-        initial=(0,) * len(sizes),
-        goal=((0, size - 1),),
-    )
+    return task_of(sizes, moves, goal=((0, size - 1),))
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plain import explore
+from plain import explore, task_of
 from test_dense import composed, only_dense, tied
 from test_sweep import COMPILED, UNLISTED, module
 from test_sweep import check as compared
 
-from planner import Effect, LimitError, Operator, Task, Variable, instance
+from planner import Effect, LimitError, Operator, Task
 from planner.costtogo.orbit_table import orbits
 from planner.search import compiled_search
 from planner.search.invariants import Mutexes, determined, invariants
@@ -33,20 +33,8 @@ NARROW = Budget(None, 1.0, None)
 
 def turning(needs: list[dict[int, int]], variables: int) -> Task:
     """Return a task of binary variables, all 0 first: the i-th action turns variable `i % variables` to 1."""
-    operators = [
-        Operator(a, tuple({**own, a % variables: 0}.items()), (Effect((), a % variables, 1),))
-        for a, own in enumerate(needs)
-    ]
-    return Task(
-        instance=instance("turning.pddl"),
-        variables=tuple(Variable(f"var{v}", (f"Atom off(v{v})", f"Atom on(v{v})"), -1) for v in range(variables)),
-        actions=tuple(f"(turn a{a:03})" for a in range(len(needs))),
-        costs=(1,) * len(needs),
-        operators=tuple(operators),
-        axioms=(),
-        initial=(0,) * variables,
-        goal=((0, 1),),
-    )
+    moves = [({**own, a % variables: 0}, {a % variables: 1}) for a, own in enumerate(needs)]
+    return task_of([2] * variables, moves, goal=((0, 1),))
 
 
 def chains(count: int, length: int) -> Task:
@@ -230,14 +218,7 @@ def test_facts_that_others_rule_out_never_change_either() -> None:
     """The switch of variable 3 needs two values that exclude each other."""
     task = tied(2, 3, 5, 1)
     dead = Operator(len(task.operators), ((0, 0), (1, 1), (7, 0)), (Effect((), 7, 1),))
-    task = Task(
-        **{
-            **{name: getattr(task, name) for name in ("instance", "variables", "axioms", "initial", "goal")},
-            "operators": (*task.operators, dead),
-            "actions": (*task.actions, "(dead)"),
-            "costs": (*task.costs, 1),
-        }
-    )
+    task = task_of([len(each.facts) for each in task.variables], (*task.operators, dead), goal=task.goal)
     with pytest.MonkeyPatch.context() as patch:
         only_dense(patch)
         table = compared(task, UNLISTED)

@@ -7,12 +7,14 @@ import math
 import random
 import threading
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
 import pytest
 from conftest import KITTING, table_of
+from plain import task_of
 
 from assist import Pool, simulate
 from assist.person.shared_task import SharedTask
@@ -25,7 +27,6 @@ from planner import (
     Packing,
     Table,
     Task,
-    Variable,
     astar,
     cost_to_go,
     instance,
@@ -43,20 +44,13 @@ from planner.search.automorphisms import Symmetries, symmetries
 from planner.search.canonical_states import Forms, canonical
 
 
-def switches(costs: list[int], goal: list[int], initial: list[int] | None = None) -> Task:
+def switches(costs: list[int], goal: Iterable[int], initial: list[int] | None = None) -> Task:
     """Switches that can be turned on, each at its cost, and off, which costs 10 more."""
-    names = range(len(costs))
-    operators = [Operator(2 * v + on, ((v, 1 - on),), (Effect((), v, on),)) for v in names for on in (0, 1)]
-    return Task(
-        instance=instance("switches.pddl"),
-        variables=tuple(Variable(f"var{v}", (f"Atom off({v})", f"Atom on({v})"), -1) for v in names),
-        actions=tuple(f"({word} {v})" for v in names for word in ("turn-off", "turn-on")),
-        costs=tuple(cost + more for cost in costs for more in (10, 0)),
-        operators=tuple(operators),
-        axioms=(),
-        initial=tuple(initial or [0] * len(costs)),
-        goal=tuple((v, 1) for v in goal),
-    )
+    count = len(costs)
+    moves = [({v: 1 - on}, {v: on}) for v in range(count) for on in (0, 1)]
+    prices = tuple(cost + more for cost in costs for more in (10, 0))
+    goal = tuple((v, 1) for v in goal)
+    return task_of([2] * count, moves, costs=prices, initial=tuple(initial or [0] * count), goal=goal)
 
 
 def copies(rng: random.Random, count: int, costs: range) -> Task:
@@ -86,15 +80,10 @@ def copies(rng: random.Random, count: int, costs: range) -> Task:
             operators.append(Operator(len(prices), tuple(sorted(conditions.items())), changes))
             prices.append(cost)
     wanted = [fact(1) for _ in range(2)]
-    return Task(
-        instance=instance("copies.pddl"),
-        variables=tuple(
-            Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1) for v, size in enumerate(whole)
-        ),
-        actions=tuple(f"(a{a:03})" for a in range(len(prices))),
+    return task_of(
+        whole,
+        operators,
         costs=tuple(prices),
-        operators=tuple(operators),
-        axioms=(),
         initial=tuple(rng.randrange(size) for size in whole),
         goal=tuple({bound(p, (thing,))[0]: bound(p, (thing,)) for p in wanted for thing in range(count)}.values()),
     )
