@@ -53,7 +53,7 @@ def two_goals(table: Table) -> Goals:
         {"robots": 2, "travel_time": 2.0},
         {"execute": True, "travel_time": 1.0},
         {"goals": True},
-        {"neighbours": Neighbours(rule="followed"), "trust": "constant"},
+        pytest.param({"neighbours": Neighbours(rule="followed"), "trust": "constant"}, marks=pytest.mark.slow),
         {"neighbours": Neighbours(rule=SeenFollowed(0.3, 0.2), sees="next"), "robots": 2, "travel_time": 1.0},
     ],
     ids=str,
