@@ -36,9 +36,9 @@ def seen(**options: Any) -> list[Observations]:
     return observed("kitting/tiny", recorded(), **options)
 
 
-def agents(number: int = 3) -> Agents:
-    rng = np.random.default_rng(0)
-    return Agents(rng.dirichlet(np.ones(4), size=(number, 2, 4)), rng.normal(size=(number, 2, 4)), gamma=0.9)
+def agents(number: int = 3, states: int = 4) -> Agents:
+    rng, shape = np.random.default_rng(0), (number, 2, states)
+    return Agents(rng.dirichlet(np.ones(states), size=shape), rng.normal(size=shape), gamma=0.9)
 
 
 RAISES: dict[str, tuple[Callable[[float], Any], str]] = {
@@ -94,15 +94,15 @@ FINISHED: dict[str, tuple[Callable[[float | None], Any], Callable[[Any], Any]]] 
         lambda limit: qmdp(Pool.sample("kitting/paper", 1, seed=0).policies[0].pomdp, time_limit=limit),
         lambda found: -float(found.value_mdp.sum()),
     ),
-    "coupled.bound": (lambda limit: bound(agents(), 1, time_limit=limit), lambda found: -found.upper),
+    "coupled.bound": (lambda limit: bound(agents(4, 2), 1, time_limit=limit), lambda found: -found.upper),
     "coupled.joint_optimum": (lambda limit: joint_optimum(agents(), 1, time_limit=limit), lambda found: -found.error),
-    "coupled.sampled_bound": (lambda limit: sampled_bound(agents(), 1, time_limit=limit), lambda found: found.paths),
+    "coupled.sampled_bound": (lambda limit: sampled_bound(agents(2), 1, time_limit=limit), lambda found: found.paths),
     "coupled.simulate": (
         lambda limit: simulate_coupled(agents(), "benefit", 1, runs=1_000_000, seed=0, steps=1, time_limit=limit),
         lambda found: len(found.rewards),
     ),
     "coupled.certify": (
-        lambda limit: certify_coupled(agents(), "prices", 1, runs=10, time_limit=limit),
+        lambda limit: certify_coupled(agents(4, 2), "prices", 1, runs=10, time_limit=limit),
         lambda found: -found.bound.upper,
     ),
 }  # fmt: skip
