@@ -32,10 +32,10 @@ from .log_tables import read_table
 Confidence = Literal["own", "one"]
 
 
-def _flag(value: float) -> bool:
+def _flag(value: float) -> float:
     if value not in (0, 1):
         raise PydanticCustomError("kind", "0 or 1")
-    return value == 1
+    return value
 
 
 Flag = Annotated[Number, AfterValidator(_flag), Expected("0 or 1")]
@@ -174,7 +174,7 @@ def read_advice(
     advisors: dict[str, dict[str, int]] = {}
     numbers = [(known := advisors.setdefault(one.person, {})).setdefault(one.sequence, len(known)) for one in judged]
     return AdviceLog(
-        person, first, np.array(numbers), own == advice, final == advice, advice == outcome, shown, sure,
+        person, first, np.array(numbers), own == advice, final == advice, advice == outcome, shown == 1, sure,
         np.array(advised),
     )  # fmt: skip
 
