@@ -30,7 +30,11 @@ class CommonRandomNumbers:
         return self._streams[kind]
 
     def draw(self, kind: int, rows: NDArray[np.int64]) -> Floats:
-        """Return uniform numbers of a `Kind` for some episodes."""
+        """Return uniform numbers of a `Kind` for some episodes.
+
+        Each call advances the streams. An episode has the same numbers whatever others are simulated if there is one
+        call in each of its steps, for all episodes that have not ended, whether or not the numbers are used.
+        """
         advances = np.zeros(len(self.drawn), dtype=bool)  # the streams of finished episodes need not
         advances[self.block[rows]] = True
         streams = self.streams(kind)

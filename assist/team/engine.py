@@ -220,9 +220,7 @@ class Engine:
         """
         now, (N, K), found = self.now, self.people.goal.shape, list[tuple[Asked, bool]]()
         asked = questions.of_teams(self.beliefs, now.active, self.tasks.model, len(self.robots.fleet))
-        uniform, working = np.ones((N, K)), np.flatnonzero(now.active.any(axis=1))
-        if questions.error:
-            uniform[working] = self.people.draws.draw(Kind.ANSWER, working)
+        uniform = self._uniform(Kind.ANSWER).reshape(N, K) if questions.error else np.ones((N, K))
         for one in asked:
             yes = one.question.answer(int(self.people.goal[one.team, one.person]), uniform[one.team, one.person])
             policy = self.tasks.policies[self.tasks.model[one.team, one.person]]

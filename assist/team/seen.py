@@ -57,6 +57,8 @@ def let_see(
     """
     shape, neighbours = them.theta.shape, beliefs.neighbours
     shown = neighbours.told(acts.heard.reshape(shape))
+    # In each step, whoever is shown something: an episode's numbers do not depend on the others that are simulated.
+    uniform = draw(Kind.NEIGHBOURS) if them.on_grid and len(neighbours.sees) else None
     if not shown.any():
         return Saw()
     gain, told, follows = np.zeros(len(after)), np.zeros(len(after), dtype=bool), np.zeros(len(after), dtype=bool)
@@ -72,7 +74,6 @@ def let_see(
     if not len(those):
         return Saw()
     helped = Helped(*np.divmod(those, shape[1]), gain[those], follows[those])
-    uniform = draw(Kind.NEIGHBOURS) if them.on_grid else None
     for model, rows in models:
         grid, there = model.pomdp.grid, np.zeros(shape, dtype=bool)
         there.reshape(-1)[rows] = at_work.reshape(-1)[rows]

@@ -27,7 +27,7 @@ from assist.people.hidden_type import HiddenType
 from assist.person import AssistPOMDP, Setting, qmdp
 from assist.person.robots import OfRobots
 from assist.person.seen_beliefs import Seen
-from assist.team import Pool, simulate
+from assist.team import Pool, Schedule, simulate
 from assist.team.belief_trace import Watched
 from assist.team.questions import GoalQuestion, Questions, benefit
 from planner import LimitError, Table, sweep, sweep_goals
@@ -524,9 +524,10 @@ def test_the_command(tmp_path: Path) -> None:
     assert (result.exit_code, "expected a task of at most 10 states" in result.stderr) == (1, True)
 
 
+@pytest.mark.parametrize("joins", [(0, 0, 0), (0, 10, 25)])
 @pytest.mark.parametrize("error", [0.0, 0.2])
-def test_questions_of_an_episode_do_not_depend_on_the_other_episodes(error: float) -> None:
-    """Robots are under way for several steps, so that in some steps only the robots of other episodes are free."""
+def test_questions_of_an_episode_do_not_depend_on_the_other_episodes(error: float, joins: tuple[int, ...]) -> None:
+    """In some steps only other episodes have a free robot, or anybody at work."""
     roads = [(a, b, 1) for a in range(12) for b in ((a + 1) % 12, (a - 1) % 12)]
     tables = sweep_goals([replace(graph_task(roads, goal=6, start=0), goal=((0, node),)) for node in (4, 8, 6)])
     setting = Setting(knowledge="exact", c_suggest=0.1, travel_time=3, c_move=0.1, c_ask=0.02, ask_error=error)
@@ -534,9 +535,10 @@ def test_questions_of_an_episode_do_not_depend_on_the_other_episodes(error: floa
         Goals(dict(zip("abc", tables, strict=True))), 3, seed=1, setting=setting, population=Population(beta=(0.1, 0.4))
     )
     policy = pool.policy("attention", setting.travel(3))
-    together = simulate(pool, policy, humans=3, episodes=12, seed=1)
+    presence = Schedule.of(3, joins)
+    together = simulate(pool, policy, humans=3, episodes=12, seed=1, presence=presence)
     assert (together.questions > 0).any()
     for number in range(12):
-        alone = simulate(pool, policy, humans=3, episodes=[number], seed=1)
+        alone = simulate(pool, policy, humans=3, episodes=[number], seed=1, presence=presence)
         assert alone.discounted_return[0] == together.discounted_return[number]
         assert alone.questions[0] == together.questions[number]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -356,3 +357,20 @@ def test_people_of_an_environment_see_each_other(tiny: Table, known: bool) -> No
     suggested = pool.policies[0].pomdp.suggested[taken.before[:, 0], taken.heard[:, 0]]
     moved = np.where(taken.slot[:, 0] == suggested, 0.03, -0.02)
     np.testing.assert_allclose(teams.theta - before, np.stack([0 * moved, moved, 0 * moved], axis=1), atol=1e-12)
+
+
+def test_theta_of_an_episode_does_not_depend_on_the_other_episodes(tiny: Table) -> None:
+    """In some steps only people of other episodes are shown anything."""
+    neighbours = Neighbours(rule=SeenFollowed(0.03, 0.03), sees="everybody")
+    pool = Pool.sample(tiny, 3, seed=1, setting=Setting(neighbours=neighbours, c_suggest=0.3, c_move=0.1))
+    options: dict[str, Any] = {"humans": 2, "seed": 5, "world": "model"}
+
+    def thetas(episodes: int | list[int]) -> list[tuple[object, ...]]:
+        trace = Trace()
+        _ = simulate(pool, "attention", episodes=episodes, trace=trace, **options)
+        return [(row["episode"], row["step"], row["person"], row["theta"]) for row in trace]
+
+    together = thetas(24)
+    for number in range(8):
+        alone = thetas([number])
+        assert alone == [row for row in together if row[0] == alone[0][0]]
