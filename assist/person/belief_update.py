@@ -34,7 +34,7 @@ def update_readable(
     rows : int array, shape (m,)
         Numbers of the people.
     acts : Acts
-        What they did.
+        What they did: one entry for each of `rows`, in their order.
     belief, erred : float and bool arrays, shapes (P, H, T) and (P,)
         The beliefs, which change, and whether the last action was a mistake; without rows for no beliefs.
     optimal, possible
@@ -99,6 +99,7 @@ def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArray
         return after, mass
     x, robot, slot, suggested, uniform = x[rows], robot[rows], slot[rows], suggested[rows], uniform[rows]
     answers = (slot == suggested)[:, None]
+    # After a suggestion people act in x itself: there `afterstate` is x.
     factors = factors_of(m.theta, m.chosen[x, suggested][:, :, None], m.unsuggested[x, robot][:, :, None])
     factor = np.where(answers[:, :, None], *factors)
     plain = steady * m.chosen[x, slot]

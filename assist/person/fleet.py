@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,21 @@ from planner.system.arrays import frozen
 from ..declare.declared import names_of
 from ..people.decision import Floats
 from .robots import EXECUTION, SUGGESTION, USUAL, OfRobots, Robot
+
+
+class Kinds(NamedTuple):
+    """The U kinds of M robots.
+
+    Attributes
+    ----------
+    extra : float array, shape (U, 3)
+        What the actions of each kind cost more, as in `Fleet.extra`.
+    of_robot : int array, shape (M,)
+        The number of each robot's kind.
+    """
+
+    extra: Floats
+    of_robot: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -90,10 +105,10 @@ class Fleet:
         return bool(self.extra.any())
 
     @cached_property
-    def kinds(self) -> tuple[Floats, NDArray[np.int64]]:
-        """The distinct rows of `extra`, shape (U, 3), and the number of each robot's row, shape (M,)."""
+    def kinds(self) -> Kinds:
+        """The robots by what they cost more: those with the same costs are of one kind."""
         rows, number = np.unique(self.extra, axis=0, return_inverse=True)
-        return frozen(rows), frozen(number.reshape(-1))
+        return Kinds(frozen(rows), frozen(number.reshape(-1)))
 
     def extra_of(self, robot: NDArray[np.int64], executes: NDArray[np.bool_]) -> Floats:
         """Return the extra costs of actions of robots, given by their numbers from 0; others are suggestions."""

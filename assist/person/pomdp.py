@@ -64,9 +64,11 @@ class AssistPOMDP:
         Sum of `chosen` over all slots but the suggested one. It is stored because 1 - p loses precision for p close to
         1.
     low, weight : int and float arrays, shape (n, R, G, T)
-        Interpolation of theta after each robot action, as returned by `Grid.shares`, for each goal.
+        What becomes of each theta after a robot action, for each goal: `low` is the lower one of the two cells between
+        which it lies, and `weight` the share of the cell above, `low + 1` (`Grid.shares`).
     followed_low, followed_weight : int and float arrays, shape (n, R, G, T), or None
-        The same if the person does what was suggested; None if the trust rule does not use the answer.
+        The same if the person does what was suggested, so that `low` and `weight` hold if not; None if the trust rule
+        does not use the answer.
     frontier : LeafBounds or None
         Frontier states and their bounds, if the problem is truncated.
     order : int array, shape (G, n), or None
@@ -179,22 +181,22 @@ class AssistPOMDP:
         ends.flags.writeable = False
         return ends
 
-    def likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]) -> Floats:
-        """Return the likelihood P(action | x, robot, type, theta), shape (N, H, T).
+    def likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], slot: NDArray[np.int64]) -> Floats:
+        """Return the likelihood P(slot | x, robot, type, theta), shape (N, H, T).
 
         It combines choice and influence (equations 5 and 6) with the model's lapse rate.
 
         Parameters
         ----------
-        x, robot, action : int arrays, shape (N,)
+        x, robot, slot : int arrays, shape (N,)
             Task state, robot action (0: nothing), and slot of the person's choice.
         """
         suggestion, acting = self.suggested[x, robot], self.afterstate[x, robot]
-        p = self.chosen[acting, action][:, :, None]
+        p = self.chosen[acting, slot][:, :, None]
         followed = self.chosen[acting, np.maximum(suggestion, 0)][:, :, None]
         theta = self.grid.theta
         total = theta * followed + (1 - theta) * self.unsuggested[x, robot][:, :, None]
-        weight = np.where((action == suggestion)[:, None, None], theta, 1 - theta)
+        weight = np.where((slot == suggestion)[:, None, None], theta, 1 - theta)
         heard = (suggestion != NOTHING)[:, None, None] & (total > 0)
         influenced = np.divide(
             weight * p, total, out=np.zeros(np.broadcast_shapes(p.shape, total.shape)), where=total > 0
@@ -203,17 +205,15 @@ class AssistPOMDP:
         count = self.model.choices.applicable[acting].sum(axis=1)[:, None, None]
         return (1 - self.model.lapse) * likelihood + self.model.lapse / count
 
-    def update(
-        self, belief: Floats, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]
-    ) -> Floats:
+    def update(self, belief: Floats, x: NDArray[np.int64], robot: NDArray[np.int64], slot: NDArray[np.int64]) -> Floats:
         """Return the posterior beliefs, shape (N, H, T), after people's actions; arguments as in `likelihood`."""
         low, weight = self.low[x, robot], self.weight[x, robot]
         if self.followed_low is not None and self.followed_weight is not None:
-            follows = (action == self.suggested[x, robot])[:, None, None]
+            follows = (slot == self.suggested[x, robot])[:, None, None]
             low = np.where(follows, self.followed_low[x, robot], low)
             weight = np.where(follows, self.followed_weight[x, robot], weight)
         of = self.hidden.goal_of
-        return beliefs.update(belief, self.likelihood(x, robot, action), low[:, of], weight[:, of])
+        return beliefs.update(belief, self.likelihood(x, robot, slot), low[:, of], weight[:, of])
 
     @cached_property
     def waits_for_free(self) -> bool:

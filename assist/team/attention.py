@@ -48,7 +48,7 @@ class AttentionSwitching:
         return q
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Return an action for the person with the largest positive score, in every team that has one."""
+        """Return the assignment of robots to people with the largest sum of positive scores, in every team."""
         action, score = self.scores(team)
         return team.act(assigned(team, score), action)
 
@@ -62,5 +62,5 @@ class AttentionSwitching:
         # that of never helping again.
         useful = team.active[:, None] & (action > 0)
         score = np.subtract(worth, self.reference(team, each), out=np.full(worth.shape, -np.inf), where=useful)
-        kind = team.fleet.kinds[1]
+        kind = team.fleet.kinds.of_robot
         return action[:, kind], score[:, kind] - team.to()

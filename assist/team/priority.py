@@ -209,7 +209,7 @@ class Priority:
 
         The value of staying has the shape (N, M).
         """
-        steps, kind = team.travel.steps_from(team.location), team.fleet.kinds[1]
+        steps, kind = team.travel.steps_from(team.location), team.fleet.kinds.of_robot
         action = np.zeros(steps.shape, dtype=np.int64)
         going, holding = np.full(steps.shape, -np.inf), np.zeros(team.location.shape)
         if steps.max(initial=0) > self.longest:

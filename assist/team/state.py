@@ -135,7 +135,7 @@ class TeamState:
     @property
     def interchangeable(self) -> bool:
         """Whether each free robot is worth the same everywhere, but where it stays: all ways and robots are alike."""
-        return self.travel.equally_far and self.travel.alike and len(self.fleet.kinds[0]) == 1
+        return self.travel.equally_far and self.travel.alike and len(self.fleet.kinds.extra) == 1
 
     def refused(self, fault: str) -> UserCodeError:
         """Return the error for a fault of the policy in this step."""
@@ -250,7 +250,7 @@ class TeamState:
         Robots with the same costs are of one kind (`Fleet.kinds`). The shape is (N, U, K, R) for U kinds, or (1, U, 1,
         R) where no robot can execute an action. It is infinite for an action that robots of this kind cannot execute.
         """
-        each = self.fleet.kinds[0][:, None, None]
+        each = self.fleet.kinds.extra[:, None, None]
         costs = np.where(self.executes(actions)[:, None], each[..., EXECUTION], each[..., SUGGESTION])
         costs[..., :1] = each[..., NOTHING_DONE]
         return costs

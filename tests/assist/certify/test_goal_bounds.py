@@ -150,7 +150,9 @@ def solved(**more: Any) -> Solution:
     return solve(problem(ring((0.45, 0.45, 0.1)), **more), gap=1e-5)
 
 
-@pytest.mark.parametrize("more", [{}, {"suggestions": "all"}, {"behaviour": Behaviour(trust=outcome())}], ids=str)
+@pytest.mark.parametrize(
+    "more", [{}, {"suggestions": "all"}, {"behaviour": Behaviour(trust=outcome())}], ids=["plain", "all", "rule"]
+)
 def test_the_solver_encloses_the_value_with_unknown_goals(more: dict[str, Any]) -> None:
     """Compared with an enumeration of histories; the value with known goals is out of reach here."""
     found = solved(**more)

@@ -20,6 +20,7 @@ from assist.people.ranges import Population
 from assist.people.real_people import advice_takers
 from assist.people.spread import Spread
 from assist.people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
+from assist.person.behaviour import Behaviour
 from assist.person.belief_filter import child, new_parts, posterior, split
 from assist.person.belief_filter import update as compiled_update
 from assist.person.pomdp import AssistPOMDP
@@ -395,8 +396,8 @@ def test_compiled_filters_are_the_equations(
     betas, thetas = np.sort(rng.uniform(0, 3, rng.integers(1, 5))), np.sort(rng.random(rng.integers(0, 6)))
     grid = Grid(betas, np.array([0.0, *thetas, 1.0]))
     pomdp = AssistPOMDP.of(
-        HumanModel.own(tiny_choices, Human(1.0, 0.6, 0.7, h), lapse=lapse), grid=grid, suggestions="all", trust=rule,
-        robot=OfRobots(execute=execute),
+        HumanModel.own(tiny_choices, Human(1.0, 0.6, 0.7, h), lapse=lapse), grid=grid, suggestions="all",
+        behaviour=Behaviour(trust=rule), robot=OfRobots(execute=execute),
     )  # fmt: skip
     m = ProblemArrays.of(pomdp)
     x = int(rng.choice(np.flatnonzero(~tiny_choices.goal)))
