@@ -183,7 +183,7 @@ def test_time_and_memory_are_shared_among_kinds(monkeypatch: pytest.MonkeyPatch)
             tell=lambda *what: told.append(what),
         )  # fmt: skip
         limits = [BoundLimits(until, limit, 100.0) for until in (104.0, 106.0, 112.0)]
-        assert asked == [(0.02, {"with_outer": with_outer, "limits": one}) for one in limits]
+        assert asked == [(0.02, {"with_outer": with_outer, "theta_moves": False, "limits": one}) for one in limits]
         assert [(kind.places, kind.pairs, kind.share) for kind in kinds] == [((0,), 0, 1), ((1,), 7, 1), ((2,), 7, 1)]
         assert told == [("setting up people's problems", done, 3) for done in range(3)]
         asked.clear()

@@ -364,11 +364,12 @@ def test_the_command_takes_robots_that_execute_on_a_part_of_a_task(tmp_path: Pat
     size = ("--set", "region_states=20", "--set", "execute=true")
     done = invoke("policy", KITTING / "paper.pddl", *size, "--time-limit", 2, "--out", out, "--json")
     assert (done.exit_code, done.stderr) == (0, "")
-    record, stored = json.loads(done.stdout), np.load(out)
+    record = json.loads(done.stdout)
     assert record["lower"] <= record["upper"]
     assert record["frontier"] > 0
-    assert (stored["task_states"] == -1).any()
-    assert len(stored["task_states"]) == len(stored["values"]) == record["states"]
+    with np.load(out) as stored:
+        assert (stored["task_states"] == -1).any()
+        assert len(stored["task_states"]) == len(stored["values"]) == record["states"]
 
 
 def test_the_command_gives_bounds_and_a_file(tmp_path: Path) -> None:
