@@ -112,7 +112,7 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
     lines: list[str] = []
     for name in condition.policies:
         chosen = policy_of(study, name, pool)
-        if isinstance(chosen, UserPolicy) and not cell.repeat:
+        if not cell.repeat:
             require_no_memory(chosen, pool, max(condition.humans))
         lap(f"preparing {name}")
         for humans in condition.humans:
