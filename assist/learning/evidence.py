@@ -120,7 +120,7 @@ class Evidence(ByContent):
         return [
             replace(
                 each[0],
-                goals=UnknownGoals(self.goals, self.prior, each, self.reached[:, recording.person == number]),
+                unknown_goal=UnknownGoals(self.goals, self.prior, each, self.reached[:, recording.person == number]),
             )
             for number, each in enumerate(zip(*every, strict=True))
         ]

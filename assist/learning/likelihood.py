@@ -77,14 +77,16 @@ class Data(NamedTuple):
     @classmethod
     def of(cls, o: Observations, method: Method) -> Data:
         """Return one person's observations in this form."""
-        goal, step = np.nonzero(~o.reached)
-        options, pair = o.applicable.sum(axis=1), (o.begins.cumsum() - 1)[step] * len(o.prior) + goal
+        goals, options = o.goals, o.applicable.sum(axis=1)
+        goal, step = np.nonzero(~goals.reached)
+        pair = (o.begins.cumsum() - 1)[step] * len(goals.prior) + goal
         with np.errstate(divide="ignore"):
-            first = np.tile(np.log(o.prior), len(o.episodes))
-        lapsed = np.nonzero(o.reached)
-        after = (o.begins.cumsum() - 1)[lapsed[1]] * len(o.prior) + lapsed[0]
+            first = np.tile(np.log(goals.prior), len(o.episodes))
+        lapsed = np.nonzero(goals.reached)
+        after = (o.begins.cumsum() - 1)[lapsed[1]] * len(goals.prior) + lapsed[0]
         np.add.at(first, after, np.log(method.lapse / options[lapsed[1]]))
-        row, first = (pair, first) if o.sums_goals else (np.zeros_like(pair), first.sum(keepdims=True))
+        # With one goal, all episodes are added at once.
+        row, first = (pair, first) if goals.distinguished else (np.zeros_like(pair), first.sum(keepdims=True))
         grid, chances = (np.zeros(0), np.zeros((0, 0, 0))) if o.own is None else (o.own.beta, o.own.chance)
         heard, anew = heard_steps(o.suggested[step], np.diff(pair, prepend=-1) != 0)
         least = method.lapse / max(options.max(initial=1), 1)
@@ -92,7 +94,7 @@ class Data(NamedTuple):
         parts = (
             o.by_goal("excess")[goal, step], options[step], o.chosen[step], o.suggested[step],
             o.by_goal("gain")[goal, step] / method.utility_scale, method.lapse, grid, chances, heard, anew, row, first,
-            len(o.prior), together,
+            len(goals.prior), together,
         )  # fmt: skip
         return cls._make(frozen(part) if isinstance(part, np.ndarray) else part for part in parts)
 

@@ -110,7 +110,7 @@ class LikelihoodTable(ByContent):
         gain = np.zeros(shape)
         alone = [without_trust(data, beta) for data in every]
         for k, (o, data) in enumerate(zip(observations, every, strict=True)):
-            goal, step = (of_pairs[data.heard] for of_pairs in np.nonzero(~o.reached))
+            goal, step = (of_pairs[data.heard] for of_pairs in np.nonzero(~o.goals.reached))
             slot, to = o.suggested[step], slice(0, len(data.heard))
             anew[k, to], followed[k, to], gain[k, to] = data.anew, o.chosen[step] == slot, o.by_goal("gain")[goal, step]
             agrees[k, to], optimal[k, to] = (
@@ -138,7 +138,7 @@ class LikelihoodTable(ByContent):
         table = cls.of(observations, method)
         if not table.heard.any():
             raise InputFileError("no suggestion in the log; expected some, as influence shows in the answers to them")
-        if carry and any(o.sums_goals for o in observations):
+        if carry and any(o.goals.distinguished for o in observations):
             raise ValueError(
                 "carry: expected False, since each episode has one of several goals, on which trust depends"
             )

@@ -13,6 +13,7 @@ from planner.system.arrays import read_only
 from planner.system.results import ByContent, Result
 
 from ..people.decision import NOTHING, Floats
+from ..people.hidden_type import KNOWN
 from ..people.same_costs import same_cost
 from ..people.sights import Sights
 from .replay import Recording
@@ -66,6 +67,11 @@ class UnknownGoals(ByContent):
 
     def __post_init__(self) -> None:
         read_only(self)
+
+    @property
+    def distinguished(self) -> bool:
+        """Whether goals are summed within each episode; for a goal that is known, all episodes are added at once."""
+        return KNOWN not in self.names
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -140,9 +146,9 @@ class Observations(Result):
         Value of each term for each choice.
     own : Chances, optional
         Choice probabilities of a user's choice model; None if people choose by cost-to-go.
-    goals : UnknownGoals, optional
-        The choices with each possible goal; None if the goal is known. What depends on the goal in other fields then
-        belongs to one goal for each episode.
+    unknown_goal : UnknownGoals, optional
+        The choices with each possible goal; None if the goal is known: whoever reads `goals` has one or several in the
+        same form. What depends on the goal in other fields then belongs to one goal for each episode.
     seen : Sights
         What the person saw of suggestions to neighbours (`neighbours_in_logs.with_neighbours`).
     """
@@ -164,7 +170,7 @@ class Observations(Result):
     terms: tuple[str, ...]
     features: Floats
     own: Chances | None = None
-    goals: UnknownGoals | None = None
+    unknown_goal: UnknownGoals | None = None
     seen: Sights = field(default_factory=Sights.of)
 
     def __post_init__(self) -> None:
@@ -174,23 +180,15 @@ class Observations(Result):
         return len(self.chosen)
 
     @property
-    def prior(self) -> Floats:
-        """The probability of each of G goals in an episode, shape (G,); a known goal is the only one."""
-        return np.ones(1) if self.goals is None else self.goals.prior
-
-    @property
-    def sums_goals(self) -> bool:
-        """Whether goals are summed within each episode; for a goal that is known, all episodes are added at once."""
-        return self.goals is not None
-
-    @property
-    def reached(self) -> NDArray[np.bool_]:
-        """Whether each goal holds before each choice, shape (G, N)."""
-        return np.zeros((1, len(self)), dtype=bool) if self.goals is None else self.goals.reached
+    def goals(self) -> UnknownGoals:
+        """The choices with each goal; a goal that is known is the only one."""
+        if self.unknown_goal is not None:
+            return self.unknown_goal
+        return UnknownGoals((KNOWN,), np.ones(1), (self,), np.zeros((1, len(self)), dtype=bool))
 
     def by_goal(self, name: str) -> NDArray[Any]:
         """Return an attribute with each goal, with a first axis of length G."""
-        return np.stack([getattr(each, name) for each in ((self,) if self.goals is None else self.goals.each)])
+        return np.stack([getattr(each, name) for each in self.goals.each])
 
     def records(self) -> list[dict[str, Any]]:
         """Return a row for each action: its episode, state and h*, its excess cost, and whether it was advised."""

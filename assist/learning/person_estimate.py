@@ -282,7 +282,7 @@ class PersonEstimate(Result):
     def goal_posteriors(self) -> dict[str, dict[str, float]]:
         """Return the probability of each goal in each episode at the estimates; empty if the goal is known."""
         o, goals = self.observations, self.observations.goals
-        if goals is None:
+        if not goals.distinguished:
             return {}
         theta = self.estimates["theta"].value if "theta" in self.estimates else 0.5
         found = goal_posteriors(Data.of(o, self.method), self.estimates["beta"].value, theta, self.rate).tolist()
@@ -353,7 +353,7 @@ class PersonEstimate(Result):
         }  # fmt: skip
         if self.misconception is not None:
             record["misconception"] = self.misconception.as_dict(facts)
-        if o.goals is not None:
+        if o.goals.distinguished:
             record["goals"] = self.goal_posteriors()
         return record | {"left_out": self.left_out, "notes": self.notes, "error": None}
 
