@@ -7,15 +7,15 @@ remain, in their order.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..declare.refusals import InapplicableError
 from ..people.belief import ImpossibleObservationError
-from ..people.decision import NOTHING
+from ..people.decision import NOTHING, Floats
 from ..people.spread import Spread
 from ..person.beliefs import PersonModel
 from ..person.joint_belief import JointBelief, expected_answers
@@ -26,8 +26,7 @@ from ..person.ties import first_best
 from ..team.questions import GoalQuestion
 from ..team.state import worth_of_actions
 from .advice import Reason
-from .roster import Roster, RosterEntry, Step, Told
-from .seen_suggestions import see
+from .roster import News, Offer, Roster, RosterEntry, Step
 from .uncertain_actions import after_answers, update_by
 
 
@@ -66,24 +65,30 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
     return bool(beliefs.erred[k])
 
 
-def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Setting) -> None:
-    """Update the belief in a person by answers about their goal.
+@dataclass(frozen=True)
+class Told(News):
+    """A person's answer to "is this your goal?"."""
 
-    Raises
-    ------
-    InapplicableError
-        An answer is impossible under the belief. Nothing has changed.
-    """
-    hidden = record.problem.policy.pomdp.hidden
-    goals = list(hidden.goals)
-    with unchanged_if_refused(team, record):
-        for told in answers:
-            try:
-                question = GoalQuestion(goals.index(told.goal), hidden, setting.ask_error)
-                team.beliefs.told(record.place, question.likelihood(told.yes), record.problem.policy)
-            except ImpossibleObservationError:
-                key = "impossible_yes" if told.yes else "impossible_no"
-                raise InapplicableError(key, person=record.name, goal=told.goal) from None
+    goal: str
+    yes: bool
+
+    def likelihood(self, record: RosterEntry, setting: Setting) -> Floats:
+        """Return the likelihood of the answer under each type of a person."""
+        hidden = record.problem.policy.pomdp.hidden
+        return GoalQuestion(list(hidden.goals).index(self.goal), hidden, setting.ask_error).likelihood(self.yes)
+
+    def tell(self, team: Roster, record: RosterEntry, setting: Setting) -> None:
+        """Update the belief in the person; errors as in `News`."""
+        try:
+            team.beliefs.told(record.place, self.likelihood(record, setting), record.problem.policy)
+        except ImpossibleObservationError:
+            key = "impossible_yes" if self.yes else "impossible_no"
+            raise InapplicableError(key, person=record.name, goal=self.goal) from None
+
+
+def answers(record: RosterEntry) -> list[Told]:
+    """Return a person's answers about the goal of their task."""
+    return [one for one in record.news if isinstance(one, Told)]
 
 
 @contextmanager
@@ -98,22 +103,29 @@ def unchanged_if_refused(team: Roster, record: RosterEntry) -> Iterator[None]:
         raise
 
 
-def hear(team: Roster, record: RosterEntry, answers: list[Told], setting: Setting) -> None:
-    """Record answers of a person about their goal; errors as in `tell`."""
-    tell(team, record, answers, setting)
-    record.told += answers
+def hear(team: Roster, record: RosterEntry, told: Told, setting: Setting) -> None:
+    """Record an answer of a person about their goal; errors as in `News`."""
+    told.tell(team, record, setting)
+    record.news.append(told)
     team.put(record, team.row(record), erred=bool(team.erred[record.place]), offer=record.offer)
 
 
-def believe_again(team: Roster, record: RosterEntry, setting: Setting) -> bool:
-    """Compute the belief in a person from the beginning of the task; return as `believe` does for the last step."""
+def believe_again(
+    team: Roster, record: RosterEntry, setting: Setting, *, place: int | None = None, offer: Offer | None = None
+) -> None:
+    """Compute the belief in a person from the beginning of the task, after which a suggestion may be open.
+
+    They are at their most probable place unless one is given.
+    """
     team.belief[record.place], record.joint, record.earlier, erred = record.before, None, None, False
     for count in range(len(record.steps) + 1):
-        tell(team, record, _told_at(record, count), setting)
-        see(team, record, [one for one in record.saw if one.steps == count])
+        for one in record.news:
+            if one.steps == count:
+                one.tell(team, record, setting)
         if count < len(record.steps):
             erred = believe(team, record, record.steps[count], setting)
-    return erred
+    row = team.row(record) if place is None else record.problem.row(place)
+    team.put(record, row, erred=erred, offer=offer)
 
 
 def correct(team: Roster, record: RosterEntry, action: str, setting: Setting) -> None:
@@ -130,11 +142,10 @@ def correct(team: Roster, record: RosterEntry, action: str, setting: Setting) ->
     record.steps[-1] = seen._replace(action=action, seen=known, slot=NOTHING, doubtful=False)
     try:
         with unchanged_if_refused(team, record):
-            erred = believe_again(team, record, setting)
+            believe_again(team, record, setting, offer=record.offer)
     except InapplicableError:
         record.steps[-1] = seen
         raise
-    team.put(record, team.row(record), erred=erred, offer=record.offer)
 
 
 def worth_of_asking(record: RosterEntry, setting: Setting) -> tuple[float, dict[str, float]]:
@@ -145,15 +156,13 @@ def worth_of_asking(record: RosterEntry, setting: Setting) -> tuple[float, dict[
     if record.joint is None or not record.steps:
         return 0.0, {}
     policy = record.problem.policy
-    hidden, found = policy.pomdp.hidden, dict[str, JointBelief]()
-    goals = list(hidden.goals)
+    found = dict[str, JointBelief]()
     for name, after in after_answers(record, setting.observation).items():
         with suppress(ImpossibleObservationError):
-            for told in _told_at(record, len(record.steps)):
-                question = GoalQuestion(goals.index(told.goal), hidden, setting.ask_error)
-                after = replace(
-                    then := after.told(question.likelihood(told.yes)), evidence=then.evidence * after.evidence
-                )
+            for told in answers(record):
+                if told.steps == len(record.steps):
+                    then = after.told(told.likelihood(record, setting))
+                    after = replace(then, evidence=then.evidence * after.evidence)
             found[name] = after
     if not found:
         return 0.0, {}
@@ -163,11 +172,6 @@ def worth_of_asking(record: RosterEntry, setting: Setting) -> tuple[float, dict[
     share = np.array([after.evidence for after in found.values()])
     share /= share.sum()
     return max(0.0, float(share @ value[1:] - value[0])), dict(zip(found, share.tolist(), strict=True))
-
-
-def _told_at(record: RosterEntry, steps: int) -> list[Told]:
-    """Return the answers about a person's goal after a number of steps."""
-    return [told for told in record.told if told.steps == steps]
 
 
 def likeliest_cost_to_go(team: Roster, record: RosterEntry) -> float:

@@ -35,6 +35,7 @@ from .contrast import Contrast, contrast
 from .explanation import Explanation, Prospect, Sight, WhyNothing, WhyPerson, WhyQuestion, WhyStep
 from .live_task import LiveTask
 from .roster import Roster
+from .seen_suggestions import last_sights
 
 T = TypeVar("T", bound=np.generic)
 
@@ -117,11 +118,7 @@ class DecisionPoint:
             tuple(team.by_name), tuple(team.problems), policies, team.beliefs.of(np.arange(count)),
             copy(team.model), copy(team.robot), copy(team.present), copy(team.ended),
             {k: _why(one) for k, one in sorted(questions.items())},
-            here, moving[:count], rule, extra, policy,
-            {
-                k: Sight(one.name, one.saw[-1].neighbour, one.saw[-1].followed)
-                for k, one in enumerate(team.records) if one.saw
-            }, team.paused,
+            here, moving[:count], rule, extra, policy, last_sights(team), team.paused,
         )  # fmt: skip
         for number, rows in by_model(point.model, np.arange(count), len(policies)):
             policies[number].problem.hold(point, point.beliefs.x[rows])

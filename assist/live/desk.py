@@ -17,7 +17,7 @@ from ..person.policy import Policy
 from ..person.travel import Travel
 from ..team.state import BASE
 from .advice import Advice, PersonState, Question
-from .beliefs import likeliest_cost_to_go, worth_of_asking
+from .beliefs import answers, likeliest_cost_to_go, worth_of_asking
 from .explanation import Explanation
 from .knowledge import Knowledge
 from .names import is_name
@@ -226,7 +226,7 @@ class Desk(Knowledge):
             None if offer is None else offer.action, self.cost_to_go(person), len(record.steps), pomdp.grid,
             pomdp.hidden, belief, pomdp.hidden.goals_shown(belief),
             {} if record.joint is None else record.joint.states(problem.policy), record.question,
-            (record.told[-1].goal, record.told[-1].yes) if record.told else None,
+            next(((one.goal, one.yes) for one in reversed(answers(record))), None),
         )  # fmt: skip
 
     def cost_to_go(self, person: str) -> float:

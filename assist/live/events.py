@@ -158,7 +158,7 @@ class Acted(OfPerson):
         super().recorded(desk)
         heard = desk.has_heard(self.person, self.action, self.followed, self.seq)
         seen = desk.seen_of(self.person, self.action, self.likelihoods, self.missed)
-        shown = desk.shown_of(self.person, self.action, heard=heard, uncertain=bool(seen))
+        shown = desk.seen.shown_by(desk.known(self.person), self.action, heard=heard)
         found = {"seq": None, "heard": heard, "action": self.action and in_pddl(self.action), "shown": shown, **seen}
         return self.model_copy(update=found)
 
@@ -198,7 +198,7 @@ class Undone(OfPerson):
     def recorded(self, desk: Desk) -> Self | None:
         """Note whether neighbours had seen it."""
         super().recorded(desk)
-        shown = self.of == "acted" and desk.was_shown(self.person)
+        shown = self.of == "acted" and desk.seen.was_shown(desk.known(self.person))
         return self.model_copy(update={"shown": shown}) if shown else self
 
     def change(self, desk: Desk, time: float) -> Any:  # noqa: ARG002
@@ -394,7 +394,4 @@ class Witnessed(Kept):
 
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
         """Move what is believed of those who saw it."""
-        if self.shown is None:
-            desk.forget_last(self.person)
-        else:
-            desk.let_see(self.person, self.shown)
+        desk.seen.let_see(desk.entry(self.person), self.shown)

@@ -14,7 +14,7 @@ from .advice import Advice
 from .event_base import Event
 from .explanation import Explanation
 from .record import Record
-from .roster import Saw
+from .seen_suggestions import Saw
 from .views import Outlook, RobotView
 
 R = TypeVar("R", bound=Record)

@@ -7,6 +7,7 @@ The classes of `events` call the methods that change it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
-from ..declare.refusals import InapplicableError, Refusal
+from ..declare.refusals import InapplicableError
 from ..people.decision import NOTHING
 from ..people.goals import Goals
 from ..people.ranges import Population
@@ -24,6 +25,8 @@ from ..person.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy
 from .advice import Advice
 from .beliefs import (
+    Told,
+    answers,
     begin_task,
     believe,
     believe_again,
@@ -36,8 +39,8 @@ from .decisions import Decisions
 from .live_setting import LiveSetting
 from .live_task import LiveTask
 from .robot_places import RobotPlaces
-from .roster import Roster, RosterEntry, Step, Told
-from .seen_suggestions import Shown, forget_last, let_see, onlookers, shown_by
+from .roster import Roster, RosterEntry, Step
+from .seen_suggestions import SeenSuggestions
 from .uncertain_actions import seen_of
 
 Task = CostToGo | Goals | Policy
@@ -77,6 +80,8 @@ class Knowledge:
     ----------
     populations : dict of str to Population
         Priors of people who have others than the team's, by name.
+    seen : SeenSuggestions
+        What people see of each other.
     """
 
     def __init__(
@@ -101,6 +106,7 @@ class Knowledge:
         self._step = 0
         self._places = RobotPlaces(self.setting, people, distance)
         self.roster = Roster(len(self._places.travel))
+        self.seen = SeenSuggestions(self.roster, self.setting)
         self._decisions = Decisions(self.setting, policy, self.roster, self._places)
 
     def take(self, event: Change, time: float = 0.0, *, number: int) -> Any:
@@ -180,22 +186,20 @@ class Knowledge:
             if task is not None or population is not None or belief is not None:
                 raise ValueError(f"{person} returns to the task that they left; `begin` gives them another")
             team.present[place] = True
-            self._came_or_went(team.records[place])
         else:
             place = len(team.records)
             if place == len(team) and self._places.distance is not None:
                 raise ValueError(
                     f"{person}: there is a place for {place} people; expected a larger matrix of distances"
                 )
-            seen = self.setting.neighbourhood(place + 1)  # raises an error if the graph has no station for the person
             name = next(iter(self.tasks)) if task is None else task
             problem = self._problem(name, population)
+            self.seen.make_room(place + 1)
             if place == len(team):
                 self._places.grow(2 * place)
                 team.resize(2 * place)
             team.add(person, problem, name, belief)
-            team.beliefs.neighbours = seen.believed
-            self._came_or_went(team.records[place])
+        self._came_or_went(team.records[place])
 
     def left(self, person: str) -> None:
         """Remove a person from the team, finished or not."""
@@ -204,10 +208,9 @@ class Knowledge:
         self._came_or_went(record)
 
     def _came_or_went(self, record: RosterEntry) -> None:
-        """Note that a person is there, or is not any more, for whom sees them."""
+        """Note that a person is there, or is not any more."""
         record.came = self.roster.event
-        for other, _ in onlookers(self.roster, record):
-            self.roster.changed(other)
+        self.seen.came_or_went(record)
 
     def began(self, person: str, task: str | None = None, *, population: str | None = None) -> None:
         """Put a person at the beginning of a task, as `Reports.begin`; `population` is the name of a prior."""
@@ -251,11 +254,11 @@ class Knowledge:
         if self.roster.stopped(record):
             raise InapplicableError("reached", person=person)
         seen = seen_of(problem, self.setting, action, likelihoods, missed)
-        shown = self.shown_of(person, action, heard=heard, uncertain=seen is not None)
+        shown = self.seen.shown_by(record, action, heard=heard)
         if seen is None and not is_uncertain(record, self.setting.observation):
             slot = problem.slot(row, action or "")
             to = problem.after(row, slot)
-            step = Step(problem.place(row), offer, slot, problem.choices.name(row, slot), shown=shown)
+            step = Step(problem.place(row), offer, slot, problem.choices.name(row, slot))
             erred = believe(self.roster, record, step, self.setting)
         else:
             if seen is not None and likelihoods is not None:
@@ -271,7 +274,7 @@ class Knowledge:
         stays = missed is not None and missed < 1 / 2
         self.roster.put(record, to, erred=erred, offer=offer if stays else None)
         if shown is not None:
-            self.let_see(person, shown)
+            self.seen.let_see(record, shown)
 
     def answered(self, person: str, answer: str | bool | None) -> None:
         """Record a person's answer, after which the open question is closed; errors as in `Reports.answer`."""
@@ -279,14 +282,14 @@ class Knowledge:
         if isinstance(answer, str):
             if not record.steps:
                 raise InapplicableError("nothing_to_ask", person=person)
-            self._require_all_seen(uncertain=True)
+            self.seen.require_all_seen()
             correct(self.roster, record, record.problem.named(answer), self.setting)
         else:
             question = record.question
             if question is None or (answer is not None and question.goal is None):
                 raise InapplicableError("no_question_about_goal" if question else "no_question", person=person)
             if answer is not None:
-                hear(self.roster, record, [Told(len(record.steps), str(question.goal), answer)], self.setting)
+                hear(self.roster, record, Told(len(record.steps), str(question.goal), answer), self.setting)
         record.question = None
 
     def take_back_answer(self, person: str) -> bool:
@@ -296,10 +299,10 @@ class Knowledge:
         asked again.
         """
         record = self.known(person)
-        taken = record.told.pop()
-        erred = believe_again(self.roster, record, self.setting)
+        taken = answers(record)[-1]
+        record.news[:] = [one for one in record.news if one is not taken]
         record.close_questions()
-        self.roster.put(record, self.roster.row(record), erred=erred)
+        believe_again(self.roster, record, self.setting)
         return taken.yes
 
     def take_back_action(self, person: str) -> str | None:
@@ -313,59 +316,14 @@ class Knowledge:
             The action; None if it was one that perhaps was missed.
         """
         record = self.known(person)
-        if self.was_shown(person):
-            self.forget_last(person)
+        if self.seen.was_shown(record):
+            self.seen.let_see(record, None)
         last, roster = record.undo(), self.roster
         again = None if last.offer is None else last.offer._replace(number=roster.event, time=roster.time)
-        record.told[:] = [told._replace(steps=min(told.steps, len(record.steps))) for told in record.told]
-        record.saw[:] = [saw._replace(steps=min(saw.steps, len(record.steps))) for saw in record.saw]
-        erred = believe_again(self.roster, record, self.setting)
+        record.news[:] = [replace(one, steps=min(one.steps, len(record.steps))) for one in record.news]
         record.close_questions()
-        roster.put(record, record.problem.row(last.place), erred=erred, offer=again)
+        believe_again(roster, record, self.setting, place=last.place, offer=again)
         return last.action
-
-    def shown_of(self, person: str, action: str | None, *, heard: bool, uncertain: bool) -> Shown | None:
-        """Return what neighbours see of an action of a person; None if they see nothing that moves them.
-
-        Raises
-        ------
-        Refusal
-            The action is uncertain, or not possible.
-        """
-        self._require_all_seen(uncertain=uncertain or action is None)
-        record = self.known(person)
-        offer = record.offer if heard else None
-        return None if offer is None or action is None else shown_by(self.roster, record, action, offer.robot)
-
-    def _require_all_seen(self, *, uncertain: bool) -> None:
-        if uncertain and self.roster.beliefs.neighbours.needs_all_seen:
-            raise Refusal("other", why="neighbours: expected actions that are all seen as they are")
-
-    def sees(self, person: str) -> dict[str, float]:
-        """Return whom a person sees of those who are present, with the weight of each."""
-        seen = self.roster.beliefs.neighbours.seen_from(self.entry(person).place)
-        each = {self.roster.records[place]: weight for place, weight in seen.items()}
-        return {other.name: weight for other, weight in each.items() if self.roster.present[other.place]}
-
-    def was_shown(self, person: str) -> bool:
-        """Return whether neighbours may have seen the last action of a person."""
-        record = self.known(person)
-        return bool(record.steps) and record.steps[-1].shown is not None
-
-    def let_see(self, person: str, shown: Shown) -> None:
-        """Let neighbours see what came of a suggestion to a person."""
-        let_see(self.roster, self.entry(person), shown)
-
-    def forget_last(self, person: str) -> None:
-        """Take back what neighbours saw last of a person."""
-        for other in forget_last(self.roster, self.entry(person)):
-            self._believe_again(other)
-
-    def _believe_again(self, record: RosterEntry) -> None:
-        """Compute the belief in a person again, after what they saw has changed."""
-        row = self.roster.row(record)
-        erred = believe_again(self.roster, record, self.setting)
-        self.roster.put(record, row, erred=erred, offer=record.offer)
 
     def follow(self, advice: Sequence[Advice], step: int) -> tuple[Advice, ...]:
         """Apply the advice of each robot, as decided or from a record, and return it.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -13,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..declare.refusals import AbsentError
 from ..people.decision import Floats
-from ..people.neighbours import SeenEvent
 from ..person.beliefs import Ask
 from ..person.hidden_beliefs import Hidden
 from ..person.joint_belief import JointBelief, is_certain
 from ..person.rows_of_people import by_model
+from ..person.settings import Setting
 from .advice import Question, Reason
 from .live_task import LiveTask
 
@@ -45,7 +46,7 @@ class Step(NamedTuple):
 
     `place` is a place of `LiveTask`. `seen` is what was seen if the action is uncertain: `likelihoods`, or the
     probability `missed` that one was missed. The action is then the likeliest one, or None. It is also `doubtful` if
-    the robot sees all actions unreliably. `shown` is what neighbours saw.
+    the robot sees all actions unreliably.
     """
 
     place: int
@@ -54,7 +55,6 @@ class Step(NamedTuple):
     action: str | None
     seen: Mapping[str, Any] | None = None
     doubtful: bool = False
-    shown: tuple[bool, float] | None = None
 
     @property
     def robot(self) -> int:
@@ -67,31 +67,21 @@ class Step(NamedTuple):
         return None if self.offer is None else self.offer.action
 
 
-class Told(NamedTuple):
-    """A person's answer to "is this your goal?", and the number of actions before it."""
+@dataclass(frozen=True)
+class News(ABC):
+    """What becomes known of a person, or moves them, between actions: after so many `steps` in their task."""
 
     steps: int
-    goal: str
-    yes: bool
 
+    @abstractmethod
+    def tell(self, team: Roster, record: RosterEntry, setting: Setting) -> None:
+        """Update the belief in the person.
 
-class Saw(NamedTuple):
-    """What a person saw of a neighbour's suggestion, after a number of their own actions in their task.
-
-    `neighbour` is the name, and `number` counts what was seen of this neighbour from 1.
-    """
-
-    steps: int
-    neighbour: str
-    number: int
-    followed: bool
-    gain: float
-    weight: float
-
-    @property
-    def event(self) -> SeenEvent:
-        """The event, for rules."""
-        return SeenEvent(np.array(self.gain), np.array(self.followed), np.array(self.weight))
+        Raises
+        ------
+        InapplicableError
+            It is impossible under the belief. Nothing has changed.
+        """
 
 
 Numbers = dict[str | None, int]
@@ -134,12 +124,12 @@ class FinishedTasks:
 class RosterEntry:
     """A person's current task, the steps in it, and the belief about the person at its beginning.
 
-    `earlier` is the joint belief before the last action. `told` holds the answers about the goal of this task, and
-    `asked` the kinds of questions since the last action. `done` holds the events of this task that can be taken back.
+    `earlier` is the joint belief before the last action. `news` is what else became known of them in this task, in its
+    order, and `asked` the kinds of questions since the last action. `done` holds the events of this task that can be
+    taken back.
     `tasks` names all tasks, the present one last, and `times` has the time of each action in them, in seconds.
     `history` has the time and the cost-to-go after each event of this task, infinite in dead ends. `seq` and `asked_at`
     are the numbers of the last event that changed the person's view, and of that of the last question.
-    `saw` is what the person saw of neighbours in this task, and `shown` how often neighbours may have seen the person.
     `order` has the number of the event of each action, and `since` that of the person's coming, or coming back, before
     it; `came` is that number now.
     What every decision copies is kept by the team, by place: a copy of few objects is fast. A record
@@ -153,7 +143,7 @@ class RosterEntry:
     past: FinishedTasks
     steps: list[Step] = field(default_factory=list)
     earlier: JointBelief | None = None
-    told: list[Told] = field(default_factory=list)
+    news: list[News] = field(default_factory=list)
     asked: set[str] = field(default_factory=set)
     done: list[Any] = field(default_factory=list)
     tasks: list[str] = field(default_factory=list)
@@ -161,8 +151,6 @@ class RosterEntry:
     history: list[tuple[float, float]] = field(default_factory=list)
     seq: int = 0
     asked_at: int = 0
-    saw: list[Saw] = field(default_factory=list)
-    shown: int = 0
     order: array[int] = field(default_factory=lambda: array("q"))
     since: array[int] = field(default_factory=lambda: array("q"))
     came: int = 0
@@ -183,10 +171,9 @@ class RosterEntry:
     def begin(self, problem: LiveTask, name: str) -> None:
         """Begin a task."""
         self.past.add(self.steps)
-        self.problem, self.steps, self.told = problem, [], []
+        self.problem, self.steps, self.news = problem, [], []
         self.tasks.append(intern(name))
         self.done.clear()
-        self.saw.clear()
         self.history.clear()
 
     @property

@@ -1,74 +1,165 @@
 """What people of a live team see of each other's suggestions, and how it moves what the robots believe of them.
 
-What somebody saw belongs to their present task, between two of their own actions (`roster.Saw`). Who takes an action
-back takes it back from those who saw it; what these saw in a task that they have finished stays.
+What somebody saw belongs to their present task, between two of their own actions. Who takes an action back takes it
+back from those who saw it; what these saw in a task that they have finished stays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..declare.declared import MOST
+from ..declare.refusals import Refusal
 from ..people.decision import NOTHING
+from ..people.neighbours import SeenEvent
+from ..person.settings import Setting
 from ..team.seen import gained
-from .roster import Roster, RosterEntry, Saw
+from .beliefs import believe_again
+from .explanation import Sight
+from .roster import News, Roster, RosterEntry
 
 Shown = tuple[bool, float]
 """What neighbours see of an action after a suggestion: whether it was followed, and the gain of it, in cost units."""
 
 
-def shown_by(team: Roster, record: RosterEntry, action: str, robot: int) -> Shown | None:
-    """Return what neighbours see if a person does an action after a robot action; None if they see nothing.
+@dataclass(frozen=True)
+class Saw(News):
+    """What a person saw of a neighbour's suggestion.
 
-    Raises
-    ------
-    Refusal
-        The action is not possible.
+    `neighbour` is the name, and `number` counts what was seen of this neighbour from 1.
     """
-    if not team.beliefs.neighbours.watched[record.place : record.place + 1].any():
-        return None
-    problem, row = record.problem, team.row(record)
-    suggested = int(problem.policy.pomdp.suggested[row, robot])
-    if suggested == NOTHING or team.stopped(record):
-        return None
-    slot = problem.slot(row, action)
-    gain = float(gained(problem.policy, np.array([row]), np.array([problem.after(row, slot)]))[0])
-    return slot == suggested, min(max(gain, -MOST), MOST)
 
+    neighbour: str
+    number: int
+    followed: bool
+    gain: float
+    weight: float
 
-def onlookers(team: Roster, record: RosterEntry) -> list[tuple[RosterEntry, float]]:
-    """Return those who are present and see a person, with the weight of each."""
-    _, who, weight = team.beliefs.neighbours.onlookers(np.array([record.place]), team.present[None])
-    return [(team.records[place], one) for place, one in zip(who.tolist(), weight.tolist(), strict=True)]
+    @property
+    def key(self) -> tuple[str, int]:
+        """What no two events have in common."""
+        return self.neighbour, self.number
 
+    @property
+    def event(self) -> SeenEvent:
+        """The event, for rules."""
+        return SeenEvent(np.array(self.gain), np.array(self.followed), np.array(self.weight))
 
-def let_see(team: Roster, record: RosterEntry, what: Shown) -> None:
-    """Let those who are present and see a person see what came of a suggestion."""
-    record.shown += 1
-    for other, weight in onlookers(team, record):
-        one = Saw(len(other.steps), record.name, record.shown, *what, weight)
-        see(team, other, [one])
-        other.saw.append(one)
-        team.changed(other)
-
-
-def see(team: Roster, record: RosterEntry, what: Iterable[Saw]) -> None:
-    """Move the belief in a person by what they saw."""
-    grid = record.problem.policy.pomdp.grid
-    for one in what:
-        low, weight = grid.shares(team.beliefs.neighbours.rule.update(grid.theta, one.event), grid.count)
+    def tell(self, team: Roster, record: RosterEntry, setting: Setting) -> None:  # noqa: ARG002
+        """Move the belief in the person who saw it."""
+        grid = record.problem.policy.pomdp.grid
+        low, weight = grid.shares(team.beliefs.neighbours.rule.update(grid.theta, self.event), grid.count)
         team.beliefs.moved(np.array([record.place]), low[None], weight[None])
 
 
-def forget_last(team: Roster, record: RosterEntry) -> list[RosterEntry]:
-    """Remove what was seen last of a person from what others saw; return those others, to be believed of again."""
-    found = []
-    for other in team.records:
-        kept = [one for one in other.saw if (one.neighbour, one.number) != (record.name, record.shown)]
-        if len(kept) < len(other.saw):
-            other.saw[:] = kept
-            found.append(other)
-    record.shown -= 1
-    return found
+def seen_by(record: RosterEntry) -> list[Saw]:
+    """Return what a person saw in their task."""
+    return [one for one in record.news if isinstance(one, Saw)]
+
+
+def last_sights(team: Roster) -> dict[int, Sight]:
+    """Return what people saw last in their tasks, by place, for explanations."""
+    each = ((record, seen_by(record)) for record in team.records)
+    return {one.place: Sight(one.name, saw[-1].neighbour, saw[-1].followed) for one, saw in each if saw}
+
+
+class SeenSuggestions:
+    """Who of a live team sees whom, and what was shown.
+
+    Parameters
+    ----------
+    team : Roster
+    setting : Setting
+    """
+
+    def __init__(self, team: Roster, setting: Setting) -> None:
+        self._team, self._setting = team, setting
+        # For each place, when something was shown of the person: the numbers of their tasks and of their actions then.
+        self._shown: dict[int, list[tuple[int, int]]] = {}
+
+    def make_room(self, people: int) -> None:
+        """Let a number of people see each other.
+
+        Raises
+        ------
+        ValueError
+            The graph has no station for one of them.
+        """
+        self._team.beliefs.neighbours = self._setting.neighbourhood(people).believed
+
+    def require_all_seen(self) -> None:
+        """Check that robots need not know what people see of each other, of whom an action is uncertain.
+
+        Raises
+        ------
+        Refusal
+            They need to.
+        """
+        if self._team.beliefs.neighbours.needs_all_seen:
+            raise Refusal("other", why="neighbours: expected actions that are all seen as they are")
+
+    def whom(self, record: RosterEntry) -> dict[str, float]:
+        """Return whom a person sees of those who are present, with the weight of each."""
+        seen = self._team.beliefs.neighbours.seen_from(record.place).items()
+        each = ((self._team.records[place], weight) for place, weight in seen)
+        return {other.name: weight for other, weight in each if self._team.present[other.place]}
+
+    def onlookers(self, record: RosterEntry) -> list[tuple[RosterEntry, float]]:
+        """Return those who are present and see a person, with the weight of each."""
+        team = self._team
+        _, who, weight = team.beliefs.neighbours.onlookers(np.array([record.place]), team.present[None])
+        return [(team.records[place], one) for place, one in zip(who.tolist(), weight.tolist(), strict=True)]
+
+    def came_or_went(self, record: RosterEntry) -> None:
+        """Tell that something else is known of those who see a person."""
+        for other, _ in self.onlookers(record):
+            self._team.changed(other)
+
+    def shown_by(self, record: RosterEntry, action: str | None, *, heard: bool) -> Shown | None:
+        """Return what neighbours see if a person does an action; None if they see nothing that moves them.
+
+        `heard` is whether the person had seen the open suggestion.
+
+        Raises
+        ------
+        Refusal
+            The action is uncertain, or not possible.
+        """
+        if action is None:
+            self.require_all_seen()
+        team, offer = self._team, record.offer if heard else None
+        seen = team.beliefs.neighbours.watched[record.place : record.place + 1].any()
+        if action is None or offer is None or not seen:
+            return None
+        problem, row = record.problem, team.row(record)
+        suggested = int(problem.policy.pomdp.suggested[row, offer.robot])
+        if suggested == NOTHING or team.stopped(record):
+            return None
+        slot = problem.slot(row, action)
+        gain = float(gained(problem.policy, np.array([row]), np.array([problem.after(row, slot)]))[0])
+        return slot == suggested, min(max(gain, -MOST), MOST)
+
+    def let_see(self, record: RosterEntry, what: Shown | None) -> None:
+        """Let those who are present and see a person see what came of a suggestion; None takes back what was last."""
+        shown = self._shown.setdefault(record.place, [])
+        if what is None:
+            key = record.name, len(shown)
+            shown.pop()
+            for other in self._team.records:
+                kept = [one for one in other.news if not (isinstance(one, Saw) and one.key == key)]
+                if len(kept) < len(other.news):
+                    other.news[:] = kept
+                    believe_again(self._team, other, self._setting, offer=other.offer)
+            return
+        shown.append((len(record.tasks), len(record.steps)))
+        for other, weight in self.onlookers(record):
+            one = Saw(len(other.steps), record.name, len(shown), *what, weight)
+            one.tell(self._team, other, self._setting)
+            other.news.append(one)
+            self._team.changed(other)
+
+    def was_shown(self, record: RosterEntry) -> bool:
+        """Return whether neighbours may have seen the last action of a person in their task."""
+        return (len(record.tasks), len(record.steps)) in self._shown.get(record.place, ())[-1:]

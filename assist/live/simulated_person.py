@@ -27,7 +27,7 @@ from ..people.weighted_choice import Weighted
 from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel
 from ..person.state_cache import NONE, StateCache
-from .roster import Saw
+from .seen_suggestions import Saw
 
 
 class _Step(NamedTuple):
@@ -82,8 +82,8 @@ class SimulatedPerson:
     def see(self, saw: Iterable[Saw]) -> None:
         """Update theta by what the person has seen of suggestions to others; what was passed before counts once."""
         for one in saw:
-            if (one.neighbour, one.number) not in self._saw:
-                self._saw.add((one.neighbour, one.number))
+            if one.key not in self._saw:
+                self._saw.add(one.key)
                 self.theta = float(self._sees.update(np.array(self.theta), one.event))
 
     def act(

@@ -32,7 +32,7 @@ from .explanation import Explanation
 from .history import Change, History
 from .names import is_name
 from .record import TeamRecord, without_in_view
-from .roster import Saw
+from .seen_suggestions import Saw, seen_by
 from .views import GoalAnswer, MemberView, PersonView, RobotView
 
 
@@ -194,7 +194,7 @@ class Team(History[TeamRecord]):
 
     def saw(self, person: str) -> Sequence[Saw]:
         """Return what a person saw of suggestions to others in their task."""
-        return self.desk.entry(person).saw
+        return seen_by(self.desk.entry(person))
 
     def person(self, person: str) -> dict[str, Any]:
         """Return a person's view, as JSON."""
@@ -233,7 +233,7 @@ class Team(History[TeamRecord]):
             theta=(known.theta.low, known.theta.mean, known.theta.high),
             grid={"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
             belief=known.hidden.with_theta(known.belief, "beta").tolist(), goals=dict(known.goals),
-            sees=self.desk.sees(person),
+            sees=self.desk.seen.whom(self.desk.entry(person)),
         ).as_dict()  # fmt: skip
 
     def learned(self, person: str) -> Floats | None:
