@@ -109,6 +109,10 @@ class Knowledge:
         self.seen = SeenSuggestions(self.roster, self.setting)
         self._decisions = Decisions(self.setting, policy, self.roster, self._places)
 
+    def share(self, other: Knowledge) -> None:
+        """Use the tasks that another one with the same arguments has solved."""
+        self._decisions.problems = other._decisions.problems
+
     def take(self, event: Change, time: float = 0.0, *, number: int) -> Any:
         """Apply an event with a number; return what was taken back, if anything.
 

@@ -17,7 +17,7 @@ import math
 import re
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -140,14 +140,14 @@ class Session(Reports):
     def _check(self, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
         require_same(self._store.file, found, expected)
 
-    def _anew(self) -> History[Any]:
-        """Return the state before the first event."""
-        return Team(self._tasks, **self._options)
+    def _anew(self, like: History[Any] | None = None) -> History[Any]:
+        """Return the state before the first event, with what another one, if it is given, has solved."""
+        return Team(self._tasks, **self._options, like=like if isinstance(like, Team) else None)
 
-    def _resume(self) -> None:
-        """Restore the state by applying all events of the store."""
-        history, last = self._anew(), 0.0
-        for record in self._store:
+    def _resume(self, history: History[Any] | None = None, records: Iterable[Record] | None = None) -> None:
+        """Restore the state by applying all events of the store, or records of these, to the state before the first."""
+        history, last = history or self._anew(), 0.0
+        for record in self._store if records is None else records:
             number = history.count + 1
             try:
                 if record.n != number:
@@ -354,8 +354,8 @@ class Session(Reports):
         believed = before.beliefs()
         self._unsaved = True
         with self._store.transaction():
-            stone = self._store.rewrite(person, label, reason, before.without(person, label))
-            self._resume()
+            stone = self._store.bury(person, label, reason)
+            self._resume(self._anew(before), self._store.rewrite(person, before.without(person, label)))
             self._unsaved = True
             kept = self._restored.beliefs()
             if any(not _same(believed.get(name, belief), belief) for name, belief in kept.items()):

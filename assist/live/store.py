@@ -247,30 +247,32 @@ class EventStore(Generic[R]):
 
     # Erasing.
 
-    def rewrite(self, person: str, label: str, reason: str, change: Callable[[R, Any], tuple[R, Any]]) -> Tombstone:
-        """Apply a change to all events within a transaction, and add the tombstone of a person."""
-        count = 0
+    def bury(self, person: str, label: str, reason: str) -> Tombstone:
+        """Add the tombstone of a person within a transaction, in which `rewrite` follows."""
         with self._sqlite_errors():
-            for n, owner, record, answer in self._db.execute(
-                "SELECT n, person, record, answer FROM events ORDER BY n"
-            ).fetchall():
-                own = owner == person
-                before = self._record(record, n), None if answer is None else json.loads(answer)
-                after, answered = change(*before)
-                count += own
-                if own:
-                    row = after.event.who or "", after.event.id, None if answered is None else _text(answered)
-                    self._db.execute(
-                        "UPDATE events SET at = NULL, person = ?, id = ?, answer = ?, record = ? WHERE n = ?",
-                        (*row, after.text(), n),
-                    )
-                elif (after, answered) != before:
-                    kept = None if answer is None else _text(answered)
-                    self._db.execute("UPDATE events SET record = ?, answer = ? WHERE n = ?", (after.text(), kept, n))
+            count = self._db.execute("SELECT count(*) FROM events WHERE person = ?", (person,)).fetchone()[0]
             stone = Tombstone(label, utc(), reason, count)
             self._db.execute("DELETE FROM erased WHERE label = ?", (person,))  # who withdrew and is erased later
             self._db.execute("INSERT INTO erased VALUES (:label, :at, :reason, :events, 0)", stone.as_dict())
         return stone
+
+    def rewrite(self, person: str, change: Callable[[R, Any], tuple[R, Any]]) -> Iterator[R]:
+        """Apply a change to all events within a transaction; yield the record of each as it is stored now."""
+        with self._sqlite_errors():
+            rows = self._db.execute("SELECT n, person, record, answer FROM events ORDER BY n").fetchall()
+        for n, owner, text, answer in rows:
+            record = self._record(text, n)
+            after, answered = change(record, given := None if answer is None else json.loads(answer))
+            if owner != person and (after, answered) == (record, given):
+                yield record
+                continue
+            own = {"at": None, "person": after.event.who or "", "id": after.event.id} if owner == person else {}
+            new = {**own, "record": after.text(), "answer": None if answered is None else _text(answered)}
+            with self._sqlite_errors():
+                self._db.execute(
+                    f"UPDATE events SET {', '.join(f'{name} = :{name}' for name in new)} WHERE n = :n", new | {"n": n}
+                )
+            yield self._record(new["record"], n)
 
     def purge(self) -> None:
         """Remove what erased records have left in the files. Does nothing if it has been done.

@@ -45,6 +45,8 @@ class Team(History[TeamRecord]):
         Tasks by name; the first is the default.
     policy, setting, population, distance
         As in `Assistant`.
+    like : Team, optional
+        Another one with the same arguments, whose tasks need not be solved again.
 
     Attributes
     ----------
@@ -60,12 +62,15 @@ class Team(History[TeamRecord]):
         setting: Setting | None = None,
         population: Population | None = None,
         distance: ArrayLike | None = None,
+        like: Team | None = None,
     ) -> None:
         super().__init__()
         if not tasks:
             raise ValueError("there is no task; expected one or more")
         self.tasks = dict(tasks)
         self.desk = Desk(self.tasks, policy=policy, setting=setting, population=population, distance=distance)
+        if like is not None:
+            self.desk.share(like.desk)
         for task in self.tasks.values():
             require_one_goal(task, self.desk.population.weights)
         self._nothing = (IDLE,) * len(self.desk.setting.robots)

@@ -123,7 +123,7 @@ class StudySession(Session):
             raise InputFileError(f"{said}; expected another folder")
         super()._check(found, expected)
 
-    def _anew(self) -> Cohort:
+    def _anew(self, like: Any = None) -> Cohort:  # noqa: ARG002  policies are solved once anyway
         return Cohort(self.study, {name: first_of(task) for name, task in self._tasks.items()}, self._team_of)
 
     def _team_of(self, condition: str | None) -> Team:
