@@ -55,9 +55,8 @@ class SimulatedPerson:
     def __init__(
         self, population: Population | Human, *, trust: TrustRule | None = None, seed: int = 0,
     ) -> None:  # fmt: skip
-        self._seed, self._saw = seed, set[tuple[str, int]]()
-        self._trust, self._sees = parts_of(EquationSeven() if trust is None else trust)
-        self._count = np.zeros((), dtype=np.int64)
+        self._seed = seed
+        self.joins(EquationSeven() if trust is None else trust)
         self.rng = np.random.default_rng(seed)
         self.human = population if isinstance(population, Human) else population.sample(None, 1, self.rng)[0]
         self.theta = self.human.theta
@@ -68,6 +67,11 @@ class SimulatedPerson:
         self.reported: str | None = None
         self._words: dict[int, tuple[CostToGo, Vocabulary]] = {}
         self._caches: dict[int, StateCache] = {}
+
+    def joins(self, trust: TrustRule) -> None:
+        """Be in a new team, where nothing was suggested or seen yet; theta stays, and moves by this rule then."""
+        self._trust, self._sees = parts_of(trust)
+        self._saw, self._count = set[tuple[str, int]](), np.zeros((), dtype=np.int64)
 
     def pursued(self, task: CostToGo | Goals) -> CostToGo:
         """Return the task with the goal that the person pursues; of several goals, it is drawn from their prior."""

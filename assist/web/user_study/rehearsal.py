@@ -1,9 +1,9 @@
 """Rehearsal of a user study by simulated participants, who use the same interface as real ones.
 
-They join by the join link, watch their page's connection, act by the model (equations 5 to 7), and answer the
-questionnaires. Their answers are random but not independent of their behaviour, so that an analysis has something to
-find: reported workload grows with the number of extra steps, and reported trust with theta. Others leave before their
-task begins, so that their places become free again.
+They join by the join link, watch their page's connection, act by the model (equations 5 to 7), see what their
+condition lets them see of others, and answer the questionnaires. Their answers are random but not independent of their
+behaviour, so that an analysis has something to find: reported workload grows with the number of extra steps, and
+reported trust with theta. Others leave before their task begins, so that their places become free again.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from planner.system.progress import Progress, adding
 
 from ...live.simulated_person import SimulatedPerson
 from ...studies.userstudy.questionnaires import CHOICE, CHOICES, NUMBER, TEXT, TLX, Answer, Item
+from ...studies.userstudy.session import StudySession
 from ..client import Client
 from .service import StudyService
 
@@ -40,8 +41,6 @@ class SimulatedParticipant:
         Number of the participant; with the study's seed, it determines their parameters.
     leaves : str or None
         The stage at which the participant leaves; None: never.
-    lock : lock
-        The session's lock, since tasks solved on demand are not thread-safe.
     base : str
         Address at which the service listens.
     client : callable
@@ -49,13 +48,14 @@ class SimulatedParticipant:
     """
 
     def __init__(
-        self, service: StudyService, tasks: Mapping[str, CostToGo], number: int, leaves: str | None, lock: Any,
-        base: str, client: Callable[[str], Client],
+        self, service: StudyService, tasks: Mapping[str, CostToGo], number: int, leaves: str | None, base: str,
+        client: Callable[[str], Client],
     ) -> None:  # fmt: skip
         study = service.study
-        self.study, self._tasks, self._leaves, self._lock = study, tasks, leaves, lock
+        assert isinstance(service.session, StudySession)
+        self.study, self._tasks, self._leaves, self._session = study, tasks, leaves, service.session
         seed = int(np.random.SeedSequence([study.seed, 1, number]).generate_state(1, np.uint64)[0])
-        self._person = SimulatedPerson(study.population, trust=study.setting.trust_rule(), seed=seed)
+        self._person, self._place = SimulatedPerson(study.population, seed=seed), ("", 0)
         self._rng = np.random.default_rng([seed, 2])
         self._lost = 0.0
         visitor = client(f"{base}/study#{service.join_url().partition('#')[2]}")
@@ -97,20 +97,31 @@ class SimulatedParticipant:
         return onward
 
     def _shortest(self, task: str) -> float:
-        with self._lock:
+        with self._session.lock:
             return float(self._tasks[task].lookup([self._tasks[task].initial])[0])
 
     def _act(self, seen: dict[str, Any]) -> dict[str, Any]:
         task = self._tasks[seen["task"]]
         if seen["steps"] == 0:
             self._state = task.initial
-        with self._lock:
+        with self._session.lock:  # also since tasks solved on demand are not thread-safe
+            self._look()
             action = self._person.act(task, self._state, seen["applicable"], seen["suggestion"])
             rows = task.choices([self._state])
             names = [task.task.actions[number] for number in rows.actions]
             if action in names:
                 self._state = int(rows.targets[names.index(action)])
         return self._client.observe(self._name, action, seq=seen["seq"])
+
+    def _look(self) -> None:
+        """Let the participant see what their team shows of others; in another condition the team is another one."""
+        cohort = self._session.cohort
+        who = cohort.known(self._name)
+        stage, team = cohort.stage(who), cohort.team_of(who).team
+        if self._place != (stage.kind, stage.period):
+            self._place = stage.kind, stage.period
+            self._person.joins(team.desk.setting.rule_of_people())
+        self._person.see(team.saw(self._name))
 
     def _answer(self, item: Item) -> Answer:
         """Return an answer: workload and trust as the module says, attention checks right, and others at random."""
@@ -168,7 +179,6 @@ class Rehearsal:
         base : str
             Address at which the service listens, which may differ from its public address.
         """
-        lock: threading.RLock = service.session.lock
         early = [stage.name for stage in service.study.stages if stage.kind in ("consent", "instructions", "practice")]
         leaving = [early[number % len(early)] for number in range(self.participants // self.per_leaver)]
         order: list[str | None] = [None] * self.participants
@@ -184,7 +194,7 @@ class Rehearsal:
             if places.acquire(blocking=stays):
                 try:
                     if not self._ended.is_set():
-                        one = SimulatedParticipant(service, tasks, number, order[number], lock, base, self._client)
+                        one = SimulatedParticipant(service, tasks, number, order[number], base, self._client)
                         one.take_part()
                         advance(stays)
                 finally:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from conftest import KITTING
 from scipy import stats
@@ -19,6 +22,8 @@ from assist.studies.reports.userstudy_summary import summarise
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import JOURNAL, StudySession
 from assist.studies.userstudy.tables import tables
+from assist.web.user_study.rehearsal import SimulatedParticipant
+from planner import Table
 from planner.system.errors import InputFileError
 
 __all__ = ["chromium", "opened"]
@@ -100,6 +105,50 @@ def test_a_member_who_leaves_does_not_stop_the_others(opened: Open, goes: str) -
     found = tables(again.study, again.folder / JOURNAL)
     assert {row["group"] for row in found.participants} == {"G1"}
     assert {row["participant"]: row["finished"] for row in found.tasks}["ann"]
+
+
+class Offline:
+    """The client of a participant who rehearses, without a network."""
+
+    def __init__(self, session: StudySession, _: str) -> None:
+        self.session = session
+
+    def ask(self, _: str, path: str, body: dict[str, Any]) -> dict[str, Any]:
+        if path.endswith("/seats"):
+            name = f"P{len(self.session.people)}"
+            Part(self.session, name).come()
+            return {"person": name, "part": ""}
+        name, kind = path.split("/")[-2:]
+        return Part(self.session, name).report(kind, **body)
+
+    def observe(self, person: str, action: str, seq: int) -> dict[str, Any]:
+        return Part(self.session, person).report("acted", action=action, seq=seq)
+
+
+def test_theta_of_who_rehearses_moves_by_what_the_condition_shows_of_others(opened: Open, tiny: Table) -> None:
+    shown = 'setting = { neighbours = { rule = { rule = "followed", rise = 0.1, fall = 0.05 } } }'
+    session = opened(GROUPS.replace('name = "attention"', f'name = "attention"\n{shown}'))
+    service: Any = SimpleNamespace(study=session.study, session=session, join_url=str)
+    client: Any = partial(Offline, session)
+    tasks = {"tiny": tiny, "practice": tiny}
+    everybody = {f"P{n}": SimulatedParticipant(service, tasks, n, None, "", client) for n in range(6)}
+    while {session.person(name)["study"]["kind"] for name in everybody} != {"thanks"}:
+        for name, one in everybody.items():
+            seen = session.person(name)
+            if seen["study"]["kind"] not in ("waiting", "thanks"):
+                one._step(seen)
+    moved = set()
+    for group in session.cohort.groups.values():
+        team, neighbours = group.teams[1].team, session.study.condition(group.condition).setting.neighbours
+        for name in group.members:
+            person, acted = everybody[name]._person, len(team.desk.entry(name).steps)
+            theta = np.array(person.human.theta)
+            for saw in team.saw(name):
+                if neighbours is not None and saw.steps < acted:  # before an action of one's own
+                    theta = neighbours.rule.update(theta, saw.event)
+            assert person.theta == theta
+            moved |= {group.condition} if theta != person.human.theta else set()
+    assert moved == {"attention"}
 
 
 def test_nobody_comes_in_time(opened: Open) -> None:
