@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,7 +52,7 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
                 raise click.UsageError("expected --data DIR, the folder of the study, or --check")
             record = None if check or data is None else register(study, data)
             forecast = _forecast(study)
-            for text in _remarks(forecast):
+            for text in forecast.remarks():
                 note(text)
             if record is None:
                 shown = [plain(one) for one in forecast.sensitivity()]
@@ -90,21 +89,6 @@ def _forecast(study: UserStudy) -> Forecast:
         for name, instance in study.tasks
     }
     return Forecast.of(study, tasks)
-
-
-def _remarks(forecast: Forecast) -> Iterator[str]:
-    """Yield what the study can show, and what is hardly meant: unequal groups, and policies that hardly assist."""
-    study = forecast.study
-    orders, size = len(study.orders), 1 if study.group is None else study.group.size
-    if study.participants is not None and study.participants % (orders * size):
-        what, equal = "orders of conditions" if study.is_within else "conditions", orders * size
-        said = f"{orders} {what} get unequal numbers; expected a multiple of {equal} for equal ones"
-        yield f"participants {study.participants}: {said}"
-    yield from map(str, forecast.sensitivity())
-    for one, assisted in forecast.seldom_assisted():
-        costs = f"c_suggest {one.setting.c_suggest:g}, c_move {one.setting.c_move:g}"
-        said = f"{one.name} suggests something to {assisted:.0f} % of simulated people"
-        yield f"{said}: hardly any suggestion is worth its cost ({costs}); set lower costs in the table `setting`"
 
 
 def _ids(file: Path, longest: int = 100) -> list[str]:

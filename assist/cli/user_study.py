@@ -63,8 +63,9 @@ def conduct(
 
         from ..people.user_code import UserCodeError
         from ..studies.userstudy.export import REGISTERED
+        from ..studies.userstudy.forecast import Forecast
         from ..studies.userstudy.plan_file import read
-        from ..studies.userstudy.session import REHEARSED
+        from ..studies.userstudy.session import JOURNAL, REHEARSED
         from ..web.user_study import server as serving
         from ..web.user_study.rehearsal import Rehearsal
     except ImportError as error:
@@ -100,6 +101,9 @@ def conduct(
         folder.mkdir(parents=True, exist_ok=True)
         (folder / REHEARSED).touch()
     try:
+        if not rehearse and not (folder / JOURNAL).exists():  # of a rehearsal the report says the same
+            for text in Forecast.of(study, tasks, briefly=True).seldom_assisted():
+                note(text)
         with (
             one_line_errors(f"interrupted; `kitassist study-report {folder}` reports on those who were there"),
             at.listen() as listening, stages() if rehearse else nullcontext() as show,

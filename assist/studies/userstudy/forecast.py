@@ -6,6 +6,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import cycle, islice
 from statistics import fmean
 from typing import Annotated
@@ -17,6 +18,7 @@ from planner import CostToGo, Table
 
 from ...declare.declared import Count, Number, Text, declared
 from ...people.decision import Floats
+from ...person.settings import Setting
 from ...team.episodes import Episodes
 from ...team.policy_names import SELDOM, WEIGHING
 from ...team.pool import Pool
@@ -28,6 +30,9 @@ from .session import policy_of
 
 PEOPLE, EPISODES = 24, 200
 """Numbers of simulated people, and of episodes of each task with teams of them."""
+
+BRIEF = 40
+"""Episodes that tell whether a policy hardly assists: the standard error of the share is 4 % of 120 people."""
 
 MOST = 10_000
 """Number of participants beyond which no study is planned."""
@@ -81,7 +86,7 @@ class Forecast:
     assisted: Mapping[str, float]
 
     @classmethod
-    def of(cls, study: UserStudy, tasks: Mapping[str, CostToGo]) -> Forecast:
+    def of(cls, study: UserStudy, tasks: Mapping[str, CostToGo], *, briefly: bool = False) -> Forecast:
         """Simulate the conditions of a study.
 
         Parameters
@@ -89,24 +94,50 @@ class Forecast:
         study : UserStudy
         tasks : mapping of str to CostToGo
             Tasks by name. Those that are solved on demand are too large to be simulated here.
+        briefly : bool
+            Whether only what `seldom_assisted` needs is simulated, in fewer episodes; `actions` is then empty.
         """
         known = [table for name, _ in study.tasks if isinstance(table := tasks[name], Table)]
         if not known:
             return cls(study, {}, {})
         actions, assisted = {}, {}
+
+        @cache  # conditions with the same setting have the same people
+        def pool_of(setting: Setting, place: int) -> Pool:
+            return Pool.sample(known[place], PEOPLE, seed=study.seed, setting=setting, population=study.population)
+
         for number, one in enumerate(study.conditions):
-            found = [_simulated(study, one, table, (number, place)) for place, table in enumerate(known)]
+            if briefly and one.policy not in WEIGHING:
+                continue
+            found = [
+                _simulated(study, one, pool_of(one.setting, place), (number, place), BRIEF if briefly else EPISODES)
+                for place in range(len(known))
+            ]
             members = 1 if study.group is None else study.group.size
             each = [np.where(run.finished, run.actions, np.nan)[:, :members].mean(axis=1) for run in found]
             actions[one.name] = np.mean(each, axis=0)
             assisted[one.name] = 100 * fmean(float((run.helped > 0).mean()) for run in found)
-        return cls(study, actions, assisted)
+        return cls(study, {} if briefly else actions, assisted)
 
-    def seldom_assisted(self) -> Iterator[tuple[Condition, float]]:
-        """Yield conditions whose policy weighs costs and hardly assists, with the percentage of people whom it does."""
+    def seldom_assisted(self) -> Iterator[str]:
+        """Yield a sentence on each condition whose policy weighs costs and hardly assists anybody."""
         for one in self.study.conditions:
-            if one.policy in WEIGHING and self.assisted.get(one.name, SELDOM) < SELDOM:
-                yield one, self.assisted[one.name]
+            assisted = self.assisted.get(one.name, SELDOM)
+            if one.policy in WEIGHING and assisted < SELDOM:
+                costs = f"c_suggest {one.setting.c_suggest:g}, c_move {one.setting.c_move:g}"
+                said = f"{one.name} suggests something to {assisted:.0f} % of simulated people: hardly any suggestion"
+                yield f"{said} is worth its cost ({costs}); set lower costs in the table `setting`"
+
+    def remarks(self) -> Iterator[str]:
+        """Yield what the study can show, and what is hardly meant: unequal groups, and policies that hardly assist."""
+        study = self.study
+        orders, size = len(study.orders), 1 if study.group is None else study.group.size
+        if study.participants is not None and study.participants % (orders * size):
+            what, equal = "orders of conditions" if study.is_within else "conditions", orders * size
+            said = f"{orders} {what} get unequal numbers; expected a multiple of {equal} for equal ones"
+            yield f"participants {study.participants}: {said}"
+        yield from map(str, self.sensitivity())
+        yield from self.seldom_assisted()
 
     def sensitivity(self) -> Iterator[Sensitivity]:
         """Yield which difference from the reference each other condition can show.
@@ -152,13 +183,15 @@ class Forecast:
         return spread, float(np.nanmean(own) - np.nanmean(other))
 
 
-def _simulated(study: UserStudy, condition: Condition, task: Table, number: tuple[int, ...]) -> Episodes:
-    """Simulate the same teams of the same people at a task; their random numbers are those of the condition alone."""
+def _simulated(
+    study: UserStudy, condition: Condition, pool: Pool, number: tuple[int, ...], episodes: int
+) -> Episodes:  # fmt: skip
+    """Simulate the same teams of the same people; their random numbers are those of the condition alone."""
     team = 1 + study.simulated if study.group is None else study.group.size
-    pool = Pool.sample(task, PEOPLE, seed=study.seed, setting=condition.setting, population=study.population)
     teams = np.random.default_rng([study.seed, 4]).permuted(np.tile(np.arange(PEOPLE), (EPISODES, 1)), axis=1)[:, :team]
     seed = int(np.random.default_rng([study.seed, 5, *number]).integers(2**63))
-    return simulate(pool, policy_of(study, condition.policy), humans=teams, episodes=EPISODES, seed=seed)
+    policy = policy_of(study, condition.policy)
+    return simulate(pool, policy, humans=teams[:episodes], episodes=episodes, seed=seed)
 
 
 def _known(number: float) -> float | None:

@@ -41,6 +41,7 @@ from assist.studies.statistics import (
 from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.outcomes import OUTCOMES
 from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import JOURNAL
 from assist.studies.userstudy.tables import COLUMNS, Tables
 from planner.system.errors import InputFileError
 
@@ -621,7 +622,7 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(t
     assert "the study has begun" in run("study-prepare", file, "--data", data).stderr
 
 
-def test_a_plan_is_checked_without_registering_it(tmp_path: Path) -> None:
+def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = written(tmp_path / "study.toml", CONFIRMED.replace("seed = 3", "seed = 3\nparticipants = 13"))
     said = run("study-prepare", file, "--check")
     printed = json.loads(said.stdout)
@@ -637,6 +638,11 @@ def test_a_plan_is_checked_without_registering_it(tmp_path: Path) -> None:
     said = run("study-prepare", dear, "--data", tmp_path / "data")
     assert "attention suggests something to 0 % of simulated people: hardly any suggestion is worth" in said.stderr
     assert (tmp_path / "data" / REGISTERED).exists()
+    monkeypatch.setattr("assist.web.user_study.server.serve", lambda *_, **__: None)
+    begins = ("serve", "--study", dear, "--data", tmp_path / "data", "--port", 0)
+    assert "attention suggests something to 0 % of simulated people" in run(*begins).stderr
+    (tmp_path / "data" / JOURNAL).touch()
+    assert "suggests" not in run(*begins).stderr  # when it goes on
     for options, wrong in (((), "expected --data DIR"), (("--check", "--links", file), "cannot be combined")):
         refused = run("study-prepare", file, *options)
         assert (refused.exit_code, wrong in refused.stderr) == (2, True)

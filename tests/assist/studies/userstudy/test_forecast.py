@@ -53,6 +53,15 @@ def test_what_no_simulation_says_is_left_out(tiny: Table, tmp_path: Path) -> Non
     )
 
 
+def test_fewer_episodes_say_whether_a_policy_hardly_assists(tiny: Table, tmp_path: Path) -> None:
+    for cost, times in (("0.02", 0), ("50.0", 1)):
+        study = read(written(tmp_path / "study.toml", PLAN.replace("c_suggest = 0.02", f"c_suggest = {cost}")))
+        found, brief = (Forecast.of(study, {"tiny": tiny}, briefly=briefly) for briefly in (False, True))
+        assert [*brief.seldom_assisted()] == [*found.seldom_assisted()]
+        assert len([*found.seldom_assisted()]) == times
+        assert {*brief.assisted} == {"attention"}  # the policy none weighs no costs
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("design", "places"), [("between", 24), ("between", 80), ("within", 12), ("within", 40)])
 def test_four_of_five_studies_show_what_was_forecast(tiny: Table, tmp_path: Path, design: str, places: int) -> None:
