@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,25 +21,28 @@ if TYPE_CHECKING:
     from ...web.service import Bridge
 
 TRANSPORTS = {
-    "rosbridge": ("ROS 2", "ros2"), "own_server": ("OPC UA", "opcua"), "server": ("OPC UA", "opcua"),
-    "broker": ("MQTT", "mqtt"),
-}  # fmt: skip
-"""The protocol and the extra of each table that a bridge's settings may have. Without one of these, it is MQTT."""
+    "rosbridge": ("ROS 2", "ros2", "ros2", "Ros2"),
+    "own_server": ("OPC UA", "opcua", "opcua_server", "OwnServer"),
+    "server": ("OPC UA", "opcua", "opcua", "OpcUa"),
+    "broker": ("MQTT", "mqtt", "mqtt", "Mqtt"),
+}
+"""The protocol, the extra, the module in `assist.connect.bridges` and the transport of each table that a bridge's
+settings may have. Without one of these, it is MQTT."""
 
 
 @dataclass(frozen=True)
 class Beside:
-    """A bridge that is to work beside the service: its settings, and what makes its transport."""
+    """A bridge that is to work beside the service: its settings, and its transport."""
 
     file: Path
     settings: BridgeSettings
-    transport: Callable[[], Transport]
+    transport: Transport
 
     def __call__(self, link: str, **options: Any) -> Bridge:
         """Return the bridge, given the operator's link and options as in `assist.connect.bridges.Bridge`."""
         from ...connect.bridges.kernel import Bridge
 
-        return Bridge(self.transport(), link, **options)
+        return Bridge(self.transport, link, **options)
 
     def require_possible(self, tasks: Iterable[CostToGo | Goals]) -> None:
         """Refuse settings with actions that no task has."""
@@ -72,46 +75,13 @@ def bridge_of(file: Path, robots: int = 1) -> Beside:
 
     try:
         tables = toml.load(file)
-        table = next((name for name in TRANSPORTS if name in tables), "broker")
-        protocol, extra = TRANSPORTS[table]
+        protocol, extra, module, name = TRANSPORTS[next((one for one in TRANSPORTS if one in tables), "broker")]
         try:
-            from ...connect.bridges import kernel  # noqa: F401  which needs a client of HTTP
-
-            return Beside(file, *_transport(table, file, robots))
-        except MissingExtraError:
-            raise
+            import_module("assist.connect.bridges.kernel")  # which needs a client of HTTP
+            kind = getattr(import_module(f"assist.connect.bridges.{module}"), name)
         except ImportError as error:
             raise MissingExtraError(f"the {protocol} bridge needs", str(error.name), extra) from None
+        settings = kind.reads.read(file, robots)
+        return Beside(file, settings, kind(settings, robots))
     except (InputFileError, OSError) as error:
         raise click.UsageError(str(error)) from None
-
-
-def _transport(table: str, file: Path, robots: int) -> tuple[BridgeSettings, Callable[[], Transport]]:
-    """Read the settings of a bridge; return them, and a function that makes its transport."""
-    if table == "rosbridge":
-        from ...connect.bridges.ros2 import Ros2
-        from ...connect.bridges.ros2_settings import Ros2Settings
-
-        ros = Ros2Settings.read(file, robots)
-        return ros, partial(Ros2, ros, robots)
-    if table == "own_server":
-        from ...connect.bridges import opcua, opcua_server
-        from ...connect.bridges.opcua_settings import OwnServerSettings
-
-        opcua.library()
-        own = OwnServerSettings.read(file)
-        return own, partial(opcua_server.OwnServer, own, robots)
-    if table == "server":
-        from ...connect.bridges import opcua
-        from ...connect.bridges.opcua_settings import OpcUaSettings
-
-        opcua.library()
-        other = OpcUaSettings.read(file)
-        return other, partial(opcua.OpcUa, other)
-    from ...connect.bridges import mqtt
-    from ...connect.bridges.mqtt_settings import MqttSettings
-
-    mqtt.library()
-    settings = MqttSettings.read(file, robots)
-    settings.context()
-    return settings, partial(mqtt.Mqtt, settings, robots)

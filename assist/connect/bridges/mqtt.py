@@ -81,7 +81,7 @@ class Mqtt(Transport):
         A file of the TLS settings cannot be read.
     """
 
-    name = "MQTT"
+    name, reads = "MQTT", MqttSettings
 
     def __init__(self, settings: MqttSettings, robots: int = 1, *, at_once: int = 8) -> None:
         super().__init__()

@@ -106,7 +106,7 @@ class MqttSettings(Observing):
     ] = 10.0
 
     def require(self, robots: int) -> None:
-        """Refuse topics without the fields that they need, and fields that a view does not have."""
+        """Refuse topics without the fields that they need, fields that a view does not have, and files of no use."""
         tables = {name: getattr(self, name) for name in ("advice", "answers", "status", "robot", "arrived")}
         for place, table in tables.items():
             if table is None:
@@ -119,6 +119,7 @@ class MqttSettings(Observing):
                 raise wrong(f"{table.topic.text!r}; expected {expected} in it", place, "topic")
         for place, output, known in (("advice", self.advice, VIEW), ("robot", self.robot, ERRAND)):
             require_among(None if output is None else output.fields, known, place)
+        self.context()
 
     @property
     def port(self) -> int:

@@ -26,6 +26,9 @@ from .messages import fields_of_value
 from .opcua_settings import Observed, OpcUaSettings, password
 from .transport import Answer, Faulty, Message, Output, Reported, Transport
 
+PERIOD = 50.0
+"""Milliseconds between two looks of the server at the nodes; values that change twice in it can be missed."""
+
 
 def library() -> ModuleType:
     """Return the OPC UA library.
@@ -65,8 +68,8 @@ class OpcUa(Transport):
     Parameters
     ----------
     settings : OpcUaSettings
-    period : float
-        Milliseconds between two looks of the server at the nodes; values that change twice in it can be missed.
+    robots : int
+        Without effect, as nodes have no instructions.
 
     Raises
     ------
@@ -74,11 +77,11 @@ class OpcUa(Transport):
         The extra `opcua` is not installed.
     """
 
-    name = "OPC UA"
+    name, reads = "OPC UA", OpcUaSettings
 
-    def __init__(self, settings: OpcUaSettings, *, period: float = 50.0) -> None:
+    def __init__(self, settings: OpcUaSettings, robots: int = 1) -> None:
         super().__init__()
-        self.settings, self._library, self._period = settings, library(), period
+        self.settings, self._library = settings, library()
         self.lost = (OSError, self._library.ua.UaError)
         self._observed = {one.node: one for one in settings.observe}
         self._last: dict[str, Any] = {}  # the last value of each node
@@ -105,11 +108,11 @@ class OpcUa(Transport):
 
         client.connection_lost_callback = over
         async with client:
-            subscription = await client.create_subscription(self._period, _Handler(self))
+            subscription = await client.create_subscription(PERIOD, _Handler(self))
             for node in self._observed:
                 with self._naming(node):
                     await subscription.subscribe_data_change(
-                        client.get_node(node), queuesize=100, sampling_interval=self._period
+                        client.get_node(node), queuesize=100, sampling_interval=PERIOD
                     )
             yield
 

@@ -67,7 +67,7 @@ class OwnServer(Transport):
         The extra `opcua` is not installed.
     """
 
-    name = "OPC UA"
+    name, reads = "OPC UA", OwnServerSettings
 
     def __init__(self, settings: OwnServerSettings, robots: int = 1) -> None:
         super().__init__()

@@ -41,7 +41,7 @@ class Ros2(Transport):
     robots : int
     """
 
-    name = "ROS 2"
+    name, reads = "ROS 2", Ros2Settings
     again = 5.0  # for those who have joined the topic meanwhile; fewer seconds add load
     lost = (OSError, InvalidHandshake, ConnectionClosed, TimeoutError)
 

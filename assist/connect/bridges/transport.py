@@ -12,12 +12,12 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from ...declare.declared import AnyText, Seldom, View, Whole, declared
-from .messages import Report
+from .messages import BridgeSettings, Report
 
 
 def nothing() -> None:
@@ -186,6 +186,8 @@ class Transport(ABC):
     ----------
     name : str
         Its name in messages and metrics.
+    reads : type
+        The class of its settings, from a file; they and the number of robots make the transport.
     counts : Counter
         Numbers of `messages`, of reports `recorded` and `refused`, of `connections` and of contents `published`; and
         whatever else the transport counts.
@@ -204,6 +206,7 @@ class Transport(ABC):
     """
 
     name: str
+    reads: ClassVar[type[BridgeSettings]]
     lost: tuple[type[Exception], ...] = (OSError,)
     robots = 0
     wait = 10.0
