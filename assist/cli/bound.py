@@ -7,7 +7,6 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Column, Table
 
 from planner.batch.results_folder import versions
 from planner.system.progress import stages
@@ -94,12 +93,7 @@ def bound(
             "population": plain(made.population), "seed": seed, "versions": versions(),
         })  # fmt: skip
         return
-    figures = [Column(name, justify="right") for name in ("value", "upper bound", "gap at most")]
-    table = Table("policy", *figures, box=None, pad_edge=False)
-    for c in certificates:
-        gap_at_most = "0 %, within the error" if c.within_error else f"{c.gap_percent:.2f} %"
-        table.add_row(c.policy, f"{c.value:.3f} ± {c.value_stderr:.3f}", f"{c.upper:.3f}", gap_at_most)
-    print_table(table)
+    print_table(("policy", "value", "upper bound", "gap at most"), map(_cells, certificates))
     click.echo(
         f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; solving each person's "
         f"problem exactly would lower the gap by at most {best.slack_percent:.2f} percentage points"
@@ -112,6 +106,12 @@ def bound(
             )
     if sampled:
         show_samples(found)
+
+
+def _cells(found: Certificate) -> list[str]:
+    """Return the row of a policy."""
+    gap_at_most = "0 %, within the error" if found.within_error else f"{found.gap_percent:.2f} %"
+    return [found.policy, f"{found.value:.3f} ± {found.value_stderr:.3f}", f"{found.upper:.3f}", gap_at_most]
 
 
 def _show_first(certificates: list[Certificate]) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from rich.table import Table
-
 from planner.pddl.instance_finder import bundled_tasks
 
 from .options.common import json_option
@@ -21,12 +19,6 @@ def domains(as_json: bool) -> None:
     if as_json:
         print_json([asdict(one) | {"problem": str(one.problem)} for one in found])
         return
-    table = Table(box=None, pad_edge=False)
-    table.add_column("instance")
-    table.add_column("states", justify="right")
-    table.add_column("cost", justify="right")
-    table.add_column("description", overflow="fold")
-    for one in found:
-        numbers = ("-" if number is None else f"{number:,}" for number in (one.states, one.cost))
-        table.add_row(one.name, *numbers, one.about)
-    print_table(table)
+    numbers = [["-" if number is None else f"{number:,}" for number in (one.states, one.cost)] for one in found]
+    rows = [[one.name, *own, one.about] for one, own in zip(found, numbers, strict=True)]
+    print_table(("instance", "states", "cost", "description"), rows, left=(0, 3))

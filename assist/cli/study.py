@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 
 import click
-from rich.table import Table
 
 from planner.system.limits import processors
 from planner.system.progress import stages
@@ -73,10 +72,7 @@ def study(
         print_json(summary)
         return
     head, rows, pools = headline(summary)
-    table = Table(*head, box=None, pad_edge=False)
-    for row in rows:
-        table.add_row(*row)
-    print_table(table)
+    print_table(head, rows, left=range(len(head)))
     for line in (*limit_notes(summary), *cost_notes(summary)):
         click.echo(line)
     click.echo(f"{pools}; the report is {out / 'report.md'}")

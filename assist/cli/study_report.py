@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-from rich.table import Table
 
 from .options.common import baseline_option, json_option, out_option
 from .options.help import command
@@ -39,10 +38,7 @@ def study_report(place: Path, out: Path | None, baseline: str | None, as_json: b
         return
     words = ReportWording()
     head, rows = words.headline(summary)
-    table = Table(*head, box=None, pad_edge=False)
-    for row in rows:
-        table.add_row(*row)
-    print_table(table)
+    print_table(head, rows, left=range(len(head)))
     for text in words.notes(summary):
         click.echo(text.replace("**", ""))
     click.echo(f"the report is {out / 'report.md'}")

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import click
-from rich.table import Table
 
 from planner.system.errors import InputFileError
 from planner.system.files import write_records
@@ -83,12 +82,8 @@ def show_comparison(compared: Comparison, files: ComparisonFiles, figures: Path 
         print_json(compared.as_dict())
         return
     reference, people = compared.scores[0].model, len(compared.people)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("model")
     of_difference = f"minus {reference} ({compared.level:.0%} interval)"
-    for name in ("nats per choice", of_difference, "p, corrected", "better for"):
-        table.add_column(name, justify="right")
-    table.add_column("parameters")
+    head, rows = ("model", "nats per choice", of_difference, "p, corrected", "better for", "parameters"), []
     for row in compared.scores:
         paired = corrected = better = "-"
         if row.difference is not None and row.interval is not None:
@@ -96,6 +91,6 @@ def show_comparison(compared: Comparison, files: ComparisonFiles, figures: Path 
             corrected, better = f"{row.p_corrected:.2g}", f"{row.better_for} of {people}"
         nats = f"{row.nats_per_choice:.4f} ± {row.stderr:.4f}"
         numbers = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in row.parameters.items())
-        table.add_row(row.model, nats, paired, corrected, better, numbers)
-    print_table(table, width=200)
+        rows.append([row.model, nats, paired, corrected, better, numbers])
+    print_table(head, rows, left=(0, 5), width=200)
     click.echo(f"{people:,} people, {compared.choices.sum():,} choices; best: {compared.best.model}")

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import click
-from rich.table import Table
 
-from ...studies.reports.compared_policies import Cells, PolicyComparison
+from ...studies.reports.compared_policies import PolicyComparison
 from ..terminal.console import print_table
 
 
 def show_comparison(found: PolicyComparison, drawn: int, pool: int) -> None:
     """Print what policies led to, and how they differ; and how many people of the pool were in a team."""
-    _print(found.means())
+    print_table(*found.means())
     click.echo(found.note() if drawn == pool else f"{found.note()}; {drawn} of {pool} people drawn")
     for line in found.notes():
         click.echo(f"{line} (--c-suggest)")
@@ -20,14 +19,4 @@ def show_comparison(found: PolicyComparison, drawn: int, pool: int) -> None:
             click.echo(f"{row.policy}: {row.summary.questions:.2f} questions per episode")
     if len(found) > 1 and found[0].summary.episodes > 1:
         click.echo()
-        _print(found.differences())
-
-
-def _print(cells: Cells) -> None:
-    head, lines = cells
-    table = Table(box=None, pad_edge=False)
-    for number, name in enumerate(head):
-        table.add_column(name, justify="right" if number else "left")
-    for line in lines:
-        table.add_row(*line)
-    print_table(table)
+        print_table(*found.differences())

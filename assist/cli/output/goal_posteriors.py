@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from rich.table import Table
 
 from planner.system import files
 
@@ -13,6 +12,10 @@ from ..terminal.console import print_json, print_table
 
 if TYPE_CHECKING:
     from ...learning.goals import InferredGoals
+
+
+MOST = 8
+"""Goals that have a column each; of more, the three most probable ones are named."""
 
 
 def show_goals(found: InferredGoals, out: Path | None, *, as_json: bool) -> None:
@@ -23,22 +26,13 @@ def show_goals(found: InferredGoals, out: Path | None, *, as_json: bool) -> None
     if as_json:
         print_json(records)
     else:
-        print_table(_table_of(found), width=160)
+        several = len(found.goals) > MOST
+        head = ("person", "episode", "actions", "beta", *(["most probable goals"] if several else found.goals))
+        print_table(head, _rows_of(found, several=several), left=(0, 1, 4) if several else (0, 1), width=160)
 
 
-def _table_of(found: InferredGoals, columns: int = 8) -> Table:
-    """Return a table of the posterior at the end of each episode.
-
-    Up to `columns` goals have a column each; of more, the three most probable ones are named.
-    """
-    table = Table(box=None, pad_edge=False)
-    for name in ("person", "episode"):
-        table.add_column(name)
-    several = len(found.goals) > columns
-    for name in ("actions", "beta", *([] if several else found.goals)):
-        table.add_column(name, justify="right")
-    if several:
-        table.add_column("most probable goals")
+def _rows_of(found: InferredGoals, *, several: bool) -> Iterator[list[str]]:
+    """Yield the row of each episode: the posterior at its end, of `several` goals that of the most probable ones."""
     for one in found.episodes:
         posterior = one.posterior[-1]
         cells = [one.person, one.episode, f"{len(one)}", f"{one.beta[-1]:.2f}"]
@@ -47,5 +41,4 @@ def _table_of(found: InferredGoals, columns: int = 8) -> Table:
             cells.append(", ".join(f"{found.goals[goal]} {posterior[goal]:.3f}" for goal in best))
         else:
             cells += [f"{p:.3f}" for p in posterior]
-        table.add_row(*cells)
-    return table
+        yield cells

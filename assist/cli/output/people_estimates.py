@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import click
-from rich.table import Table
 
 from planner.system.errors import InputFileError
 from planner.system.files import atomic, write_records
@@ -83,7 +82,8 @@ def show_people(people: FittedPeople, files: FitFiles) -> bool:
     if files.as_json:
         print_json(records)
     else:
-        print_table(_table_of(people), width=160)
+        head, *rows = _table_of(people)
+        print_table(head, rows, width=160)
         click.echo("".join(f"{line}\n" for line in _lines_of(people, general)), nl=False)
     return people.complete
 
@@ -94,20 +94,15 @@ def write_population(found: PopulationFit, file: Path, sigma: Range = (0.0, 0.0)
         path.write_text(json.dumps(found.as_dict(sigma), indent=1) + "\n", encoding="utf-8")
 
 
-def _table_of(people: FittedPeople) -> Table:
-    """Return a table of the estimates of every person in the log, with intervals."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("person")
-    for name in ("beta", "theta", "eta", "actions", "suboptimal", "log-likelihood", "check p"):
-        table.add_column(name, justify="right")
-    if any(record.misconception is not None for record in people.values()):
-        table.add_column("sigma", justify="right")
-    terms = list(next((record.weights for record in people.values()), {}))
-    for name in terms:
-        table.add_column(name, justify="right")
+def _table_of(people: FittedPeople) -> Iterator[list[str]]:
+    """Yield the head and the rows of a table of the estimates of every person in the log, with intervals."""
+    head = ["person", "beta", "theta", "eta", "actions", "suboptimal", "log-likelihood", "check p"]
+    head += ["sigma"] * any(record.misconception is not None for record in people.values())
+    head += next((record.weights for record in people.values()), {})
+    yield head
     for name in _everybody(people):
         if name not in people:
-            table.add_row(name, *["-"] * (7 + len(terms)))
+            yield [name, *["-"] * (len(head) - 1)]
             continue
         record = people[name]
         every, m = record.estimates, record.misconception
@@ -119,9 +114,8 @@ def _table_of(people: FittedPeople) -> Table:
         cells.append("-" if record.check.p is None else f"{record.check.p:.3f}")
         if m is not None:
             cells.append(_interval(m.sigma, m.interval, m.open_above))
-        cells += [_interval(one.value, one.interval, one.open_above) for one in (every[name] for name in terms)]
-        table.add_row(name, *cells)
-    return table
+        cells += [_interval(one.value, one.interval, one.open_above) for one in map(every.__getitem__, record.weights)]
+        yield [name, *cells]
 
 
 def _lines_of(people: FittedPeople, found: PopulationFit | None) -> Iterable[str]:

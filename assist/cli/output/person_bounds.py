@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.table import Table
 
 from ..terminal.console import print_table
 
@@ -23,20 +22,16 @@ def line_of(lower: float, upper: float) -> str:
 
 def show_bounds(record: dict[str, Any]) -> None:
     """Print a record of `policy`."""
-    table = Table(box=None, pad_edge=False, show_header=False)
-    table.add_column()
-    table.add_column(justify="right")
     known, hidden = ("goal, beta and theta", "values") if "goals" in record else ("beta and theta", "pairs")
     what = f"{record['states']:,} states, {record['hidden']} hidden {hidden}"
     if record["frontier"]:
         what += f"; {record['frontier']:,} frontier states"
     click.echo(what)
-    for name, label in (
+    labels = (
         ("value_never", "never suggest"), ("value_always", "always suggest"), ("lower", "policy (lower bound)"),
         ("upper", "any policy (upper bound)"), ("value_qmdp", f"{known} observed (QMDP)"),
-    ):  # fmt: skip
-        table.add_row(label, f"{record[name]:.4f}")
-    print_table(table)
+    )  # fmt: skip
+    print_table(("", ""), [[label, f"{record[name]:.4f}"] for name, label in labels])
     ended = ENDED[record["stopped"]]
     if record["stopped"] == "stalled" and record["frontier"]:
         ended = "; limited by the bounds of frontier states"

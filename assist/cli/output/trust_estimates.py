@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from planner.system.files import write_records
 
@@ -59,16 +58,14 @@ def _show_influence(found: InfluenceFit, files: FitFiles) -> None:
     if files.as_json:
         print_json(document)
         return
-    table = Table(box=None, pad_edge=False)
-    table.add_column("person")
-    for name in ("followed", "theta at first", "theta at last", "beta"):
-        table.add_column(name, justify="right")
-    for one in found.people:
-        table.add_row(
+    rows = [
+        [
             one.person, f"{one.followed} of {one.suggestions}", _interval(one.theta_first, one.theta_first_interval),
             _interval(one.theta, one.theta_interval), _interval(one.beta, one.beta_interval),
-        )  # fmt: skip
-    print_table(table, width=160)
+        ]
+        for one in found.people
+    ]  # fmt: skip
+    print_table(("person", "followed", "theta at first", "theta at last", "beta"), rows, width=160)
     fitted = {name: _interval(found.parameters[name], ends) for name, ends in found.intervals.items()}
     numbers = "".join(f", {name} {value}" for name, value in fitted.items())
     click.echo(f"trust rule {found.rule}{numbers}; log likelihood {found.log_likelihood:.3f}")

@@ -7,7 +7,7 @@ import logging
 import signal
 import sys
 from codecs import lookup
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO, cast
@@ -130,10 +130,28 @@ def print_json(document: Any) -> None:
     click.echo(json.dumps(document, indent=2))
 
 
-def print_table(table: Table, width: int = 140) -> None:
-    """Print a table with the terminal's width, or with `width` characters if stdout is a file or a pipe."""
-    from rich.console import Console
+def print_table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], *, left: Collection[int] = (0,), width: int = 140
+) -> None:  # fmt: skip
+    """Print a table with the terminal's width, or with `width` characters if stdout is a file or a pipe.
 
+    Parameters
+    ----------
+    head : sequence of str
+        The columns' names; all are empty in a table without a head.
+    rows : iterable of sequence of str
+    left : collection of int
+        Numbers of the columns that are aligned to the left; all others have numbers.
+    width : int
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, show_header=any(head))
+    for number, name in enumerate(head):
+        table.add_column(name, justify="left" if number in left else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
     terminal = sys.stdout.isatty()
     console = Console(width=None if terminal else width, markup=False, emoji=False)
     with console.capture() as printed:
