@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
 from ..learning.intervals import IntervalEstimate
-from .statistics import Comparison, detectable, standardised
+from .statistics import LEVEL, Comparison, detectable, standardised
 
 Floats = NDArray[np.floating[Any]]
 Values = Mapping[str, Mapping[str, float]]
@@ -21,7 +21,7 @@ Periods = Mapping[tuple[str, str], int]
 """The period in which a participant had a condition, by participant and condition."""
 
 
-def within_participants(differences: ArrayLike, periods: ArrayLike, level: float = 0.95) -> Comparison:
+def within_participants(differences: ArrayLike, periods: ArrayLike) -> Comparison:
     """Compare two conditions of the same participants, adjusted for the periods in which they had them.
 
     Least squares explain each participant's difference by the conditions and the periods. So learning from one period
@@ -44,8 +44,8 @@ def within_participants(differences: ArrayLike, periods: ArrayLike, level: float
         return Comparison(IntervalEstimate(float(found[0] if determined else y.mean())))
     deviation = math.sqrt(left / freedom)
     error = math.sqrt(inverse[0, 0])
-    effect = standardised(float(found[0]) / deviation, freedom, 1 / error, level)
-    return Comparison.of(float(found[0]), deviation * error, freedom, level, effect)
+    effect = standardised(float(found[0]) / deviation, freedom, 1 / error)
+    return Comparison.of(float(found[0]), deviation * error, freedom, effect)
 
 
 def _of_periods(periods: ArrayLike) -> tuple[Floats, Floats, bool]:
@@ -57,22 +57,21 @@ def _of_periods(periods: ArrayLike) -> tuple[Floats, Floats, bool]:
     return design, inverse, math.isclose(float(inverse[0] @ (design.T @ design)[:, 0]), 1.0, abs_tol=1e-9)
 
 
-def detectable_within(periods: ArrayLike, power: float = 0.8, level: float = 0.95) -> float:
-    """Return the smallest standardised difference that `within_participants` detects with this power.
+def detectable_within(periods: ArrayLike) -> float:
+    """Return the smallest standardised difference that `within_participants` detects, as `detectable` does.
 
     Parameters
     ----------
     periods : int array, shape (n, 2)
         As in `within_participants`. The effects of periods take degrees of freedom from the test. The result is NaN
         where there is no test.
-    power, level : float
     """
     design, inverse, determined = _of_periods(periods)
     freedom = len(design) - int(np.linalg.matrix_rank(design))
-    return detectable(freedom, 1 / math.sqrt(inverse[0, 0]), power, level) if determined else math.nan
+    return detectable(freedom, 1 / math.sqrt(inverse[0, 0])) if determined else math.nan
 
 
-def means_within(values: Values, level: float = 0.95) -> dict[str, IntervalEstimate]:
+def means_within(values: Values) -> dict[str, IntervalEstimate]:
     """Return each condition's mean with an interval without the differences between participants.
 
     The intervals show how well means can be compared with each other (D. Cousineau, "Confidence intervals in
@@ -83,7 +82,6 @@ def means_within(values: Values, level: float = 0.95) -> dict[str, IntervalEstim
     ----------
     values : mapping of mapping of float
         Values by condition and participant.
-    level : float
     """
     shown = {name: own for name, own in values.items() if own}
     everywhere = [who for who in next(iter(shown.values()), {}) if all(who in own for own in shown.values())]
@@ -94,13 +92,13 @@ def means_within(values: Values, level: float = 0.95) -> dict[str, IntervalEstim
         deviation = (x - x.mean(axis=0)).std(axis=1, ddof=1) * np.sqrt(conditions / (conditions - 1))
         errors = deviation / np.sqrt(n)
     return {
-        name: IntervalEstimate.of(fmean(own.values()), error, n - 1, level)
+        name: IntervalEstimate.of(fmean(own.values()), error, n - 1, LEVEL)
         for (name, own), error in zip(shown.items(), errors.tolist(), strict=True)
     }
 
 
 def mixed_model(
-    values: Values, periods: Periods, orders: Mapping[str, str], reference: str, level: float = 0.95
+    values: Values, periods: Periods, orders: Mapping[str, str], reference: str
 ) -> dict[str, IntervalEstimate]:
     """Return each condition's difference from the reference by a linear mixed model.
 
@@ -119,7 +117,6 @@ def mixed_model(
     orders : mapping of str to str
         The order of conditions of each participant.
     reference : str
-    level : float
     """
     rows = [(who, name, value) for name, own in values.items() for who, value in own.items()]
     others = [name for name in values if name != reference and values[name]]
@@ -163,4 +160,4 @@ def mixed_model(
     inverse = np.linalg.inv(triangle[:columns, :columns])
     errors = np.sqrt(left / (len(outcome) - columns) * (inverse**2).sum(axis=1))
     estimates = zip(others, found.tolist(), errors.tolist(), strict=False)
-    return {name: IntervalEstimate.of(value, error, freedom, level) for name, value, error in estimates}
+    return {name: IntervalEstimate.of(value, error, freedom, LEVEL) for name, value, error in estimates}

@@ -24,6 +24,8 @@ FEW = 10
 
 With fewer pools the bootstrap undercovers: nominal 95 % intervals cover 52 % (2 pools), 71 % (3), 82 % (5).
 """
+LEVEL, POWER = 0.95, 0.8
+"""Level of intervals and tests, and the power with which a difference counts as detectable."""
 EXACT = 200
 """Largest number of differences with an exact signed-rank test, which takes some milliseconds for so many."""
 
@@ -50,15 +52,13 @@ class Comparison:
     freedom: float = math.nan
 
     @classmethod
-    def of(
-        cls, value: float, error: float, freedom: float, level: float, hedges_g: IntervalEstimate = NONE
-    ) -> Comparison:
+    def of(cls, value: float, error: float, freedom: float, hedges_g: IntervalEstimate) -> Comparison:
         """Return the comparison with this standard error, whose distribution is Student's t."""
         if not (error > 0 and freedom > 0):
             return cls(IntervalEstimate(value))
         t = value / error
         p = float(2 * scipy.special.stdtr(freedom, -abs(t)))
-        return cls(IntervalEstimate.of(value, error, freedom, level), p, hedges_g, error, freedom)
+        return cls(IntervalEstimate.of(value, error, freedom, LEVEL), p, hedges_g, error, freedom)
 
     @property
     def t(self) -> float:
@@ -74,37 +74,37 @@ class Comparison:
 # Means and their ratios.
 
 
-def mean(values: ArrayLike, level: float = 0.95) -> IntervalEstimate:
+def mean(values: ArrayLike, level: float = LEVEL) -> IntervalEstimate:
     """Return the mean of values, shape (n,), with Student's interval."""
     x = np.asarray(values, dtype=float)
     error = float(x.std(ddof=1)) / math.sqrt(len(x)) if len(x) > 1 else math.nan
     return IntervalEstimate.of(float(x.mean()), error, len(x) - 1, level)
 
 
-def saving(with_it: ArrayLike, without: ArrayLike, rng: np.random.Generator, level: float = 0.95) -> IntervalEstimate:
+def saving(with_it: ArrayLike, without: ArrayLike, rng: np.random.Generator) -> IntervalEstimate:
     """Return the saving in percent: 100 (1 - mean(with_it) / mean(without)).
 
     The interval is the bias-corrected and accelerated bootstrap over pools (Efron, "Better bootstrap confidence
     intervals", 1987), since a ratio of means is skewed, as are the numbers of actions of people in a trap. For fewer
     than `FEW` pools it is Student's t with the jackknife standard error (Tukey, 1958), which is wider.
     """
-    return _bootstrap((with_it, without), lambda a, b: 100 * (1 - a / b), rng, level)
+    return _bootstrap((with_it, without), lambda a, b: 100 * (1 - a / b), rng)
 
 
 def change(
-    first: tuple[ArrayLike, ArrayLike], last: tuple[ArrayLike, ArrayLike], rng: np.random.Generator, level: float = 0.95
+    first: tuple[ArrayLike, ArrayLike], last: tuple[ArrayLike, ArrayLike], rng: np.random.Generator
 ) -> IntervalEstimate:
     """Return the first saving minus the last, in percentage points. The arrays are as in `saving`."""
-    return _bootstrap((*first, *last), lambda a, b, c, d: 100 * (c / d - a / b), rng, level)
+    return _bootstrap((*first, *last), lambda a, b, c, d: 100 * (c / d - a / b), rng)
 
 
-def quotient(above: ArrayLike, below: ArrayLike, rng: np.random.Generator, level: float = 0.95) -> IntervalEstimate:
+def quotient(above: ArrayLike, below: ArrayLike, rng: np.random.Generator) -> IntervalEstimate:
     """Return the ratio of two means, with an interval as in `saving`."""
-    return _bootstrap((above, below), lambda a, b: a / b, rng, level)
+    return _bootstrap((above, below), lambda a, b: a / b, rng)
 
 
 def _bootstrap(
-    columns: Sequence[ArrayLike], of_means: Callable[..., Any], rng: np.random.Generator, level: float
+    columns: Sequence[ArrayLike], of_means: Callable[..., Any], rng: np.random.Generator
 ) -> IntervalEstimate:
     """Return a function of the columns' means, with its bootstrap interval over rows."""
     x = [np.asarray(column, dtype=float) for column in columns]
@@ -118,10 +118,10 @@ def _bootstrap(
         if spread < 1e-24 * max(1.0, value**2):  # all pools are equal
             return IntervalEstimate(value, value, value)
         if n < FEW:
-            return IntervalEstimate.of(value, math.sqrt((n - 1) / n * spread), n - 1, level)
+            return IntervalEstimate.of(value, math.sqrt((n - 1) / n * spread), n - 1, LEVEL)
         found = scipy.stats.bootstrap(
             x, lambda *drawn, axis: of_means(*(one.mean(axis=axis) for one in drawn)), paired=True, vectorized=True,
-            n_resamples=RESAMPLES, confidence_level=level, method="BCa", rng=rng,
+            n_resamples=RESAMPLES, confidence_level=LEVEL, method="BCa", rng=rng,
         ).confidence_interval  # fmt: skip
     low, high = float(found.low), float(found.high)
     return IntervalEstimate(value, low, high) if math.isfinite(low) and math.isfinite(high) else IntervalEstimate(value)
@@ -137,7 +137,7 @@ def effect(difference: ArrayLike) -> float:
 # Two groups.
 
 
-def between_groups(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Comparison:
+def between_groups(a: ArrayLike, b: ArrayLike) -> Comparison:
     """Compare the means of two groups with Welch's t-test for unequal variances.
 
     Parameters
@@ -153,11 +153,11 @@ def between_groups(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Compariso
     freedom = float((own + other) ** 2 / (own**2 / (len(x) - 1) + other**2 / (len(y) - 1)))
     together = len(x) + len(y) - 2
     pooled = math.sqrt(((len(x) - 1) * x.var(ddof=1) + (len(y) - 1) * y.var(ddof=1)) / together)
-    effect = standardised(value / pooled, together, math.sqrt(len(x) * len(y) / (len(x) + len(y))), level)
-    return Comparison.of(value, math.sqrt(own + other), freedom, level, effect)
+    effect = standardised(value / pooled, together, math.sqrt(len(x) * len(y) / (len(x) + len(y))))
+    return Comparison.of(value, math.sqrt(own + other), freedom, effect)
 
 
-def standardised(d: float, freedom: float, scale: float, level: float = 0.95) -> IntervalEstimate:
+def standardised(d: float, freedom: float, scale: float) -> IntervalEstimate:
     """Return Hedges' g of a standardised difference, with the interval by the noncentral t distribution.
 
     Parameters
@@ -168,11 +168,10 @@ def standardised(d: float, freedom: float, scale: float, level: float = 0.95) ->
         Degrees of freedom of the standard deviation; without two, the result is NaN.
     scale : float
         As in `detectable`: the test's statistic for a standardised difference of 1.
-    level : float
     """
     if freedom <= 1 or not math.isfinite(d):
         return NONE
-    ends = (scipy.special.nctdtrinc(freedom, p, d * scale) / scale for p in ((1 + level) / 2, (1 - level) / 2))
+    ends = (scipy.special.nctdtrinc(freedom, p, d * scale) / scale for p in ((1 + LEVEL) / 2, (1 - LEVEL) / 2))
     return IntervalEstimate(*(float(one) * small(freedom) for one in (d, *ends)))
 
 
@@ -181,7 +180,7 @@ def small(freedom: float) -> float:
     return 1 - 3 / (4 * freedom - 1)
 
 
-def newcombe(successes: int, n: int, other: int, m: int, level: float = 0.95) -> IntervalEstimate:
+def newcombe(successes: int, n: int, other: int, m: int) -> IntervalEstimate:
     """Return the difference of two shares, with the interval of Newcombe (1998) from Wilson's intervals.
 
     Parameters
@@ -190,11 +189,10 @@ def newcombe(successes: int, n: int, other: int, m: int, level: float = 0.95) ->
         Successes among the n members of the first group.
     other, m : int
         Successes among the m members of the second group.
-    level : float
     """
     if not n or not m:
         return IntervalEstimate(math.nan)
-    a, b = wilson(successes, n, level), wilson(other, m, level)
+    a, b = wilson(successes, n, LEVEL), wilson(other, m, LEVEL)
     apart = a.value - b.value
     return IntervalEstimate(
         apart,
@@ -209,8 +207,8 @@ def fisher_p(successes: int, n: int, other: int, m: int) -> float:
     return float(scipy.stats.fisher_exact(table)[1]) if n and m else math.nan
 
 
-def detectable(freedom: float, scale: float, power: float = 0.8, level: float = 0.95) -> float:
-    """Return the smallest difference that a t-test detects with this power.
+def detectable(freedom: float, scale: float) -> float:
+    """Return the smallest difference that a t-test detects with a power of `POWER`.
 
     Parameters
     ----------
@@ -219,14 +217,13 @@ def detectable(freedom: float, scale: float, power: float = 0.8, level: float = 
     scale : float
         The test's statistic for a difference of 1, which is 1 / its standard error. For differences of groups of n and
         m in standard deviations, it is sqrt(n m / (n + m)).
-    power, level : float
     """
     if not (freedom >= 1 and math.isfinite(scale)):
         return math.nan
-    critical = float(scipy.special.stdtrit(freedom, (1 + level) / 2))
+    critical = float(scipy.special.stdtrit(freedom, (1 + LEVEL) / 2))
 
     def missed(size: float) -> float:
-        return float(scipy.stats.nct.cdf(critical, freedom, size * scale)) - (1 - power)
+        return float(scipy.stats.nct.cdf(critical, freedom, size * scale)) - (1 - POWER)
 
     # Above this bound, scipy's noncentral t distribution returns NaN.
     return float(scipy.optimize.brentq(missed, 0.0, (2 * critical + 2) / scale))

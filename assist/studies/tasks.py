@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TypeVar
 
 from planner import Cache, CostToGo, Instance, LimitError, Table, cost_to_go, load, sweep
@@ -13,14 +12,16 @@ from ..people.arguments import require_goal
 Known = TypeVar("Known", bound=CostToGo)
 
 
-def table_of(instance: Instance, *, max_states: int = 200_000) -> Table:
+MOST = 200_000
+"""Largest number of states of a task that is solved whole, which takes about a second."""
+
+
+def table_of(instance: Instance) -> Table:
     """Read and solve a task whose states are all needed.
 
     Parameters
     ----------
     instance : Instance
-    max_states : int
-        Largest number of states. The default takes about a second.
 
     Raises
     ------
@@ -29,19 +30,14 @@ def table_of(instance: Instance, *, max_states: int = 200_000) -> Table:
     planner.PDDLError
     """
     try:
-        table = sweep(load(instance), max_states=max_states)
+        table = sweep(load(instance), max_states=MOST)
     except LimitError as error:
-        raise InputFileError(f"{instance}: {error}; expected a task of up to {max_states:,} states") from None
+        raise InputFileError(f"{instance}: {error}; expected a task of up to {MOST:,} states") from None
     return _solvable(instance, table)
 
 
-def costs_of(instance: Instance, *, progress: Callable[[str, int, int | None], None] | None = None) -> CostToGo:
+def costs_of(instance: Instance) -> CostToGo:
     """Read and solve a task for simulation. States of tasks that are too large for a sweep are solved on demand.
-
-    Parameters
-    ----------
-    progress : callable, optional
-        Receives the progress of the sweep.
 
     Raises
     ------
@@ -50,7 +46,7 @@ def costs_of(instance: Instance, *, progress: Callable[[str, int, int | None], N
     planner.PDDLError
     """
     task = load(instance)
-    return _solvable(instance, cost_to_go(task, cache=Cache(task), progress=progress))
+    return _solvable(instance, cost_to_go(task, cache=Cache(task)))
 
 
 def _solvable(instance: Instance, known: Known) -> Known:

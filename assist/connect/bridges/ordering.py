@@ -17,8 +17,6 @@ class InOrder(Generic[T]):
 
     Parameters
     ----------
-    first : int
-        The lowest number that has not been released.
     room : int
         Largest number of items that are held back; more tolerate longer delays and cost memory.
 
@@ -29,8 +27,8 @@ class InOrder(Generic[T]):
     held : dict of int to item
     """
 
-    def __init__(self, first: int = 1, room: int = 1000) -> None:
-        self.next, self.held, self._room = first, dict[int, T](), room
+    def __init__(self, room: int = 1000) -> None:
+        self.next, self.held, self._room = 1, dict[int, T](), room
         self._passed = deque[range](maxlen=room)
         self._far: int | None = None
 
