@@ -14,9 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sessions import EASY, SETTING
 from test_live_web import Web
-from test_mqtt import SETTINGS, Broker, Here, broker, settings_file
+from test_mqtt import Broker, Here, broker, settings_file
 
-from assist.connect.bridges.mqtt_settings import MqttSettings
 from assist.connect.bridges.ordering import FAR, InOrder
 from assist.declare import Refusal
 from assist.live import Assistant, Session
@@ -162,24 +161,6 @@ def test_a_gap_in_numbers_is_answered_and_the_line_goes_on(tmp_path: Path, broke
             assert (await asks(202, "(fetch box-b)"))["status"] == "recorded"
 
     here.run(settings_file(tmp_path, broker), work)
-
-
-@pytest.mark.parametrize(
-    ("right", "wrong", "said"),
-    [
-        ("host =", "hots =", "broker.hots: unknown; did you mean 'host'"),
-        ("[observe]", "[obsreve]", "obsreve: unknown; did you mean 'observe'"),
-        ("number =", "nubmer =", "observe.nubmer: unknown; did you mean 'number'"),
-        ("wait =", "wiat =", "wiat: unknown; did you mean 'wait'"),
-        ("/advice\"", "/advice\"\nfields = [\"sugestion\"]", "advice.fields: 'sugestion'; did you mean 'suggestion'"),
-    ],
-)  # fmt: skip
-def test_a_misspelt_option_of_a_bridge_gets_the_nearest_name(tmp_path: Path, right: str, wrong: str, said: str) -> None:
-    file = tmp_path / "bridge.toml"
-    file.write_text(SETTINGS.replace("PORT", "1883").replace(right, wrong, 1))
-    with pytest.raises(InputFileError, match=r"bridge.toml:\d+: ") as refused:
-        MqttSettings.read(file)
-    assert said in str(refused.value)
 
 
 def test_what_keeps_events_from_being_saved_is_shown_to_the_operator(

@@ -18,13 +18,10 @@ from typing import Any
 
 import click
 import pytest
-from click.testing import CliRunner
 from conftest import TESTS, kit
-from serving import TINY
 from starlette.testclient import TestClient
 from test_mqtt import Here, done_of, free_port, plans
 
-from assist.cli import main
 from assist.cli.options.bridges import bridge_of
 from assist.live import Left
 from assist.person.settings import Setting
@@ -347,41 +344,6 @@ def test_a_server_with_a_password_at_an_address_that_is_taken_for_some_time(
 
     here.run(file, work)
     assert "Traceback" not in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ("url = 'http://a'", "own_server.url: 'http://a'; expected opc.tcp://host:port/path"),
-        ("url = 'opc.tcp://a'\nusername = 'plc'", "has no password; expected it in KITASSIST_OPCUA_PASSWORD"),
-        ("url = 'opc.tcp://a'\nperson = 'ann'", "own_server.person: unknown"),
-        ("url = 'opc.tcp://a'\naction = '(fetch {'", "expected fields as {name}"),
-        ("url = 'opc.tcp://a'\n[server]\nurl = 'opc.tcp://b'", "server: unknown"),
-    ],
-)
-def test_faults_of_the_settings_of_an_own_server_are_said(table: str, message: str, tmp_path: Path) -> None:
-    (file := tmp_path / "bridge.toml").write_text(f"[own_server]\n{table}")
-    result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--bridge", str(file)])
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert message in result.stderr.replace("\n", " ")
-
-
-@pytest.mark.parametrize(
-    ("wrong", "right", "message"),
-    [
-        ("http://a", "opc.tcp://127.0.0.1:PORT/", "expected opc.tcp://host:port/path"),
-        ("A.Pick", "ns=2;s=A.Pick", "observe[1].node: 'A.Pick'; expected a node id"),
-        ("A.Light", "ns=2;s=A.Light", "advice[1].node: 'A.Light'; expected a node id"),
-        ("'('", "'(?P<verb>TAKE) (?P<code>\\d+)'", "is no regular expression"),
-        ('"(fetch {code}"', '"({verb} {code})"', "observe[2].action: (fetch {code} opens 1 and closes 0"),
-    ],
-)
-def test_faults_of_the_settings_are_said(wrong: str, right: str, message: str, tmp_path: Path) -> None:
-    assert right in SETTINGS
-    (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace(right, wrong, 1).replace("PORT", "4840"))
-    result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--bridge", str(file)])
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert message in result.stderr
 
 
 def test_a_node_that_the_server_does_not_have_is_named(

@@ -10,15 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 from conftest import kit
 from rosbridge import Rosbridge
-from serving import TINY
 from test_mqtt import Here, done_of, free_port, plans
 
-from assist.cli import main
 from assist.connect.bridges import Ros2Settings
-from assist.declare.refusals import Refusal
 from assist.live import Acted, Left
 from assist.live.store import stored
 from assist.person.settings import Setting
@@ -201,41 +197,3 @@ def test_advice_is_repeated_for_those_who_subscribe_late(tmp_path: Path) -> None
         await ros.until(lambda: ros.published("/line/advice"))
 
     converse(here, tmp_path, SETTINGS, work)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (("ws://127.0.0.1:PORT", "http://here"), "expected ws://host:port"),
-        (('"/line/action"', '"/line/person-1"'), "expected a name of ROS"),
-        (('"line_msgs/action/GoTo"', '"GoTo"'), "expected a type of ROS"),
-        (
-            ('topic = "/line/advice"', 'topic = "/line/advice"\nfields = ["speed"]'),
-            "expected some of answered, applicable",
-        ),
-        (
-            ('topic = "/line/advice"', 'topic = "/line/advice"\ntype = "a/msg/B"\nfields = ["reason"]'),
-            "expected some of applicable",
-        ),
-        (("{x = 2.0}", "{y = 2.0}"), "'person-2' has no x"),
-        (("[observe]", "[[observe]]\ntopic = '/line/action'\n[[observe]]"), "a topic occurs twice"),
-        (('topic = "/line/action"', 'topic = "/line/action"\ntype = "a/msg/B"\npattern = "x"'), "applies to texts"),
-        (
-            ('topic = "/line/action"', 'topic = "/line/action"\naction = "(fetch {box}"'),
-            "opens 1 and closes 0 brackets",
-        ),
-    ],
-)
-def test_faults_of_the_settings_are_said(wrong: tuple[str, str], message: str, tmp_path: Path) -> None:
-    (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace(*wrong).replace("PORT", "9090"))
-    result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--bridge", str(file)])
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert message in " ".join(result.stderr.replace("│", " ").split())
-
-
-def test_a_person_without_a_place_has_no_goal(tmp_path: Path) -> None:
-    (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", "9090"))
-    go_to = Ros2Settings.read(file).go_to
-    assert go_to is not None
-    with pytest.raises(Refusal, match=r"go_to.places: 'person-9' has no x"):
-        go_to.goal_for("person-9")

@@ -39,6 +39,7 @@ from assist.studies.statistics import (
     signed_rank,
 )
 from assist.studies.userstudy.csv_tables import written as written_rows
+from assist.studies.userstudy.forecast import Forecast
 from assist.studies.userstudy.outcomes import OUTCOMES
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import JOURNAL
@@ -582,7 +583,10 @@ def run(*words: object) -> Any:
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(tmp_path: Path) -> None:
+def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Forecast, "of", lambda study, _: Forecast(study, {}, {}))  # it takes seconds
     file, data = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data"
     said = run("study-prepare", file, "--data", data)
     assert json.loads(said.stdout) | {"text": CONFIRMED} == json.loads((data / REGISTERED).read_text())
