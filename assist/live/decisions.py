@@ -56,13 +56,14 @@ class Decisions:
 
     Attributes
     ----------
-    problems : dict
-        The problems that were solved so far, by task and prior.
+    solved : dict
+        The problems that were solved so far, by task and prior; those of several teams, if they share them.
     """
 
     def __init__(self, setting: Setting, policy: str | TeamPolicy, team: Roster, places: RobotPlaces) -> None:
         self._setting, self._rule, self._team, self._places = setting, policy, team, places
-        self.problems: dict[tuple[int, Population], LiveTask] = {}
+        self.solved: dict[tuple[int, Population], LiveTask] = {}
+        self._problems: dict[tuple[int, Population], LiveTask] = {}  # of people of this team
         self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
         self._asks: LiveQuestions | None = None
         if isinstance(policy, str) and policy not in POLICIES:
@@ -71,15 +72,17 @@ class Decisions:
     def problem(self, task: CostToGo | Goals | Policy, population: Population) -> LiveTask:
         """Return the problem of a task with a prior, which is kept: people with the same task share it."""
         key = (id(task), population)
-        if key not in self.problems:
-            made = LiveTask(task, self._setting, population)
-            if self._setting.observation is not None:
-                self._setting.observation.evidence(made.choices, 0)  # raises an error if unsuitable
-                prepare_uncertain(made)
-            self.problems[key] = made
+        if key not in self._problems:
+            if key not in self.solved:
+                made = LiveTask(task, self._setting, population)
+                if self._setting.observation is not None:
+                    self._setting.observation.evidence(made.choices, 0)  # raises an error if unsuitable
+                    prepare_uncertain(made)
+                self.solved[key] = made
+            self._problems[key] = self.solved[key]
             self.renew()
             self._asks = None
-        return self.problems[key]
+        return self._problems[key]
 
     def renew(self) -> None:
         """Build the team policy again, because problems or distances have changed."""
@@ -136,7 +139,7 @@ class Decisions:
         if self._setting.c_ask is None or self._rule == "none":
             return active, None
         if self._asks is None:
-            self._asks = LiveQuestions(self._setting, [problem.policy for problem in self.problems.values()])
+            self._asks = LiveQuestions(self._setting, [problem.policy for problem in self._problems.values()])
         active = active.copy()
         active[list(self._team.questions)] = False
         question = self._asks.best(self._team, active)
@@ -166,7 +169,7 @@ class Decisions:
             assert isinstance(self._rule, str)
             # Without given distances all places are equally far, so that two represent any number.
             travel = self._places.travel if self._places.distance is not None else self._setting.travel(2)
-            policies = [problem.policy for problem in self.problems.values()]
+            policies = [problem.policy for problem in self._problems.values()]
             prepare(made := named(self._rule, policies, travel), policies)
             self._made = made
         return self._made

@@ -111,7 +111,7 @@ class Knowledge:
 
     def share(self, other: Knowledge) -> None:
         """Use the tasks that another one with the same arguments has solved."""
-        self._decisions.problems = other._decisions.problems
+        self._decisions.solved = other._decisions.solved
 
     def take(self, event: Change, time: float = 0.0, *, number: int) -> Any:
         """Apply an event with a number; return what was taken back, if anything.

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from graphs import graph_task
 from hypothesis import given, settings
 from sessions import EASY, HAPPENS, SETTING, all_of, happen
 from store_faults import Failing, schedule
@@ -27,11 +28,13 @@ from assist.live.live_task import LiveTask
 from assist.live.record import TeamRecord
 from assist.live.session import Session
 from assist.live.store import EventStore, JournalError, stored
+from assist.live.team import Team
 from assist.person.settings import Setting
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import StudySession
 from assist.studies.userstudy.tables import tables
-from planner import Table
+from assist.team.priority import Priority
+from planner import Table, sweep
 from planner.system.errors import InputFileError
 
 
@@ -41,6 +44,33 @@ def content(folder: Path) -> bytes:
 
 
 # Erasing.
+
+
+def test_after_an_erasure_the_policy_knows_the_tasks_that_it_knows_after_a_restart(tmp_path: Path) -> None:
+    """The price of attention is that of the cheapest action of all tasks: that of the erased person does not count."""
+    tasks = {name: sweep(graph_task([(1, 2, cost), (2, 0, cost), (1, 1, cost)])) for name, cost in (("a", 1), ("b", 4))}
+
+    def opened() -> Session:
+        return Session(tasks, tmp_path / "one.sqlite", setting=SETTING, policy="priority")
+
+    def price(session: Session) -> list[float]:
+        session.recommend()
+        assert isinstance(session.history, Team)
+        policy = session.history.desk._decisions.team_policy()
+        assert isinstance(policy, Priority)
+        return policy.price.tolist()
+
+    session = opened()
+    session.join("ann", task="b")
+    session.join("bob", task="b")
+    session.begin("ann", task="a")
+    cheap = price(session)
+    session.erase("ann", "as asked")
+    erased = price(session)
+    session.close()
+    session = opened()
+    assert erased == price(session) == [4 * cheap[0]]
+    session.close()
 
 
 @settings(max_examples=8, deadline=None)
