@@ -19,6 +19,7 @@ from ...declare.refusals import InapplicableError, Refusal
 from ...live.advice import Advice
 from ...live.desk import IDLE
 from ...live.event_base import Event
+from ...live.events import kinds
 from ...live.explanation import Explanation
 from ...live.history import Change, History
 from ...live.team import Team
@@ -66,6 +67,26 @@ class Cohort(Teams, History[StudyRecord]):
         record = StudyRecord(n=n, time=time, event=facts.pop("event", event), **facts)
         self._note(record)
         return record
+
+    def caused(self, now: float, away: Mapping[str, float | None]) -> list[StudyEvent]:
+        """Return the first event that time has caused for each participant, or for a group.
+
+        Parameters
+        ----------
+        now : float
+            Seconds since the study began.
+        away : mapping of str to float or None
+            For each participant who takes part, the seconds for which no page of theirs has been connected; None if
+            one is.
+        """
+        found = dict[Any, StudyEvent]()
+        for code, seconds in away.items():
+            who = self.participants[code]
+            kind = next((one for one in kinds(StudyEvent).values() if one.is_due(self, who, now, seconds)), None)
+            if kind is not None:
+                team = (who.group, self.stage(who).period) if kind.of_team and who.group else code
+                found.setdefault(team, kind(person=code))
+        return list(found.values())
 
     def again(self, record: StudyRecord) -> None:
         """Replay a recorded event."""

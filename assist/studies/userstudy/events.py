@@ -47,6 +47,13 @@ class StudyEvent(Event):
     """Whether the participant may take one of the places of the study."""
     comes_back: ClassVar[bool] = False
     """Whether a participant who was gone is back by it."""
+    of_team: ClassVar[bool] = False
+    """Whether one for a group suffices, if time causes it for several members at once."""
+
+    @classmethod
+    def is_due(cls, cohort: Teams, who: Participant, now: float, away: float | None) -> bool:  # noqa: ARG003
+        """Return whether time has caused the event for a participant who takes part, as `Cohort.caused` asks for it."""
+        return False
 
     def facts(self, cohort: Teams, n: int, time: float) -> Facts | None:
         """Apply the event to the participant's team; return the fields of its record, or None if nothing has changed.
@@ -209,17 +216,24 @@ class Acted(StudyEvent):
         return {"event": event, "team": team, "seen": seen}
 
 
-class Elapsed(StudyEvent):
-    """Time that passes while a participant is idle, so that the robot decides again."""
+class Left(StudyEvent):
+    """A participant has been away for too long, or is removed for now."""
 
-    kind: Literal["elapsed"] = "elapsed"
+    kind: Literal["left"] = "left"
 
-    def facts(self, cohort: Teams, n: int, time: float) -> Facts | None:
-        """Let the robot of the participant's team decide again."""
-        who = cohort.known(self.person)
-        idle = who.status == HERE and cohort.is_at_task(who) and not cohort.is_over(who)
-        team = cohort.team_of(who).elapse(n, time) if idle else ()
-        return {"team": team} if team else None
+    path: ClassVar[str | None] = "/api/people/{person}/leave"
+    is_tabled: ClassVar[bool] = True
+
+    @classmethod
+    def is_due(cls, cohort: Teams, who: Participant, now: float, away: float | None) -> bool:
+        """Whether they are away, or hold a place and have left an open page alone."""
+        study, kind = cohort.study, cohort.stage(who).kind
+        holds = study.participants is not None and who.condition is None and kind != WAITING
+        return (holds and now - who.acted > 180 * study.away) or (away or 0.0) > 60 * study.patience(kind)
+
+    def happens(self, cohort: Teams, who: Participant, n: int, time: float) -> Facts:
+        """Remove the participant from their team."""
+        return {"status": GONE, "team": cohort.part(who, n, time)}
 
 
 class Expired(StudyEvent):
@@ -227,6 +241,14 @@ class Expired(StudyEvent):
 
     kind: Literal["expired"] = "expired"
     is_tabled: ClassVar[bool] = True
+
+    @classmethod
+    def is_due(cls, cohort: Teams, who: Participant, now: float, away: float | None) -> bool:  # noqa: ARG003
+        """Whether a time limit is over, or all the others for whom a participant waits have left."""
+        study, kind, minutes = cohort.study, cohort.stage(who).kind, (now - who.entered) / 60
+        if study.group is not None and kind == WAITING:
+            return minutes > study.group.wait or (who.group is not None and cohort.is_complete(who))
+        return kind == "task" and study.minutes is not None and minutes > study.minutes and not who.expired
 
     def happens(self, cohort: Teams, who: Participant, n: int, time: float) -> Facts:
         """End the task, or the waiting."""
@@ -237,6 +259,26 @@ class Expired(StudyEvent):
             raise self.refused(cohort, who)
         ends = cohort.study.group.then == "end" and who.group is None
         return {"status": UNMATCHED, "completion": cohort.completion()} if ends else {}
+
+
+class Elapsed(StudyEvent):
+    """Time that passes while a participant is idle, so that the robot decides again."""
+
+    kind: Literal["elapsed"] = "elapsed"
+    of_team: ClassVar[bool] = True
+
+    @classmethod
+    def is_due(cls, cohort: Teams, who: Participant, now: float, away: float | None) -> bool:
+        """Whether a participant is idle at a task, with a connected page."""
+        idle = cohort.stage(who).kind == "task" and now - who.acted > cohort.study.tick and away is None
+        return idle and (who.group is None or not cohort.is_over(who))
+
+    def facts(self, cohort: Teams, n: int, time: float) -> Facts | None:
+        """Let the robot of the participant's team decide again."""
+        who = cohort.known(self.person)
+        idle = who.status == HERE and cohort.is_at_task(who) and not cohort.is_over(who)
+        team = cohort.team_of(who).elapse(n, time) if idle else ()
+        return {"team": team} if team else None
 
 
 class Withdrew(StudyEvent):
@@ -260,19 +302,6 @@ class Withdrew(StudyEvent):
             raise InapplicableError("too_late", day=last)
         declines = cohort.stages[who.at].kind == "consent"
         return {"status": DECLINED if declines else WITHDREW, "team": cohort.part(who, n, time)}
-
-
-class Left(StudyEvent):
-    """A participant has been away for too long, or is removed for now."""
-
-    kind: Literal["left"] = "left"
-
-    path: ClassVar[str | None] = "/api/people/{person}/leave"
-    is_tabled: ClassVar[bool] = True
-
-    def happens(self, cohort: Teams, who: Participant, n: int, time: float) -> Facts:
-        """Remove the participant from their team."""
-        return {"status": GONE, "team": cohort.part(who, n, time)}
 
 
 class Returned(StudyEvent):

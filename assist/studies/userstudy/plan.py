@@ -288,6 +288,16 @@ class UserStudy(UserStudyPlan):
         orders = balanced_orders(names) if self.is_within else [(name,) for name in names]
         return {" > ".join(order): order for order in orders}
 
+    def patience(self, kind: str) -> float:
+        """Return the minutes without a page after which a participant at a stage of this kind counts as dropped out.
+
+        Who waits for a group has to be there when it begins, and who has not consented keeps a place from others; half
+        a minute, or a whole one, suffices for a reload.
+        """
+        if kind == WAITING:
+            return min(self.away, 0.5)
+        return min(self.away, 1.0) if kind == "consent" and self.participants is not None else self.away
+
     def questionnaire(self, name: str) -> Questionnaire:
         """Return the questionnaire of this name."""
         return next(one for one in self.questionnaires if one.name == name)

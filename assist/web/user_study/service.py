@@ -17,8 +17,7 @@ from ...live.event_base import Event
 from ...live.views import RobotView
 from ...studies.userstudy.codes import identifier, spelled
 from ...studies.userstudy.cohort import Cohort
-from ...studies.userstudy.events import Elapsed, Expired, Left, Returned, StudyEvent, Visited, Withdrew
-from ...studies.userstudy.plan import WAITING
+from ...studies.userstudy.events import Elapsed, Returned, StudyEvent, Visited, Withdrew
 from ...studies.userstudy.roll import HERE
 from ...studies.userstudy.session import StudySession
 from ...studies.userstudy.views import ParticipantView
@@ -259,44 +258,14 @@ class StudyService(Service):
         return self._held.see(self._due), self._every
 
     def _due(self, cohort: Cohort) -> list[StudyEvent]:
-        now, session_now, study = self._loop.time(), self.session.now(), self.study
-        found: list[StudyEvent] = []
-        idle: set[tuple[str | None, int]] = set()  # groups whose robot decides again, once for all members
-        for code, person in list(cohort.participants.items()):
-            if person.status != HERE:
-                continue
-            stage = cohort.stages[person.at]
-            away = 0.0 if self.connected(code) else now - self._heard.setdefault(code, now)
-            holds = study.participants is not None and person.condition is None and stage.kind != WAITING
-            forgotten = holds and session_now - person.acted > 180 * study.away  # a tab that is open, and left alone
-            if forgotten or away > 60 * self._patience(stage.kind):
-                found.append(Left(person=code))
-            elif study.group is not None and stage.kind == WAITING:
-                late = session_now - person.entered > 60 * study.group.wait
-                if late or (person.group is not None and cohort.is_complete(person)):  # the others have left
-                    found.append(Expired(person=code))
-            elif stage.kind == "task":
-                late = study.minutes is not None and session_now - person.entered > 60 * study.minutes
-                if late and not person.expired:
-                    found.append(Expired(person=code))
-                elif (
-                    self.ticks and session_now - person.acted > study.tick and self.connected(code)
-                    and (person.group is None or not ((person.group, stage.period) in idle or cohort.is_over(person)))
-                ):  # fmt: skip
-                    idle.add((person.group, stage.period))
-                    found.append(Elapsed(person=code))
-        return found
-
-    def _patience(self, kind: str) -> float:
-        """Return the minutes without a page after which a participant at such a stage counts as dropped out.
-
-        Who waits for a group has to be there when it begins, and who has not consented keeps a place from others; half
-        a minute, or a whole one, suffices for a reload.
-        """
-        away = self.study.away
-        if kind == WAITING:
-            return min(away, 0.5)
-        return min(away, 1.0) if kind == "consent" and self.study.participants is not None else away
+        now = self._loop.time()
+        away = {
+            code: None if self.connected(code) else now - self._heard.setdefault(code, now)
+            for code, who in cohort.participants.items()
+            if who.status == HERE
+        }
+        found = cohort.caused(self.session.now(), away)
+        return [event for event in found if self.ticks or not isinstance(event, Elapsed)]
 
     # The experimenter's view.
 

@@ -26,9 +26,14 @@ def short_sighted(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarr
 PLACES = 3
 
 
-@pytest.mark.parametrize("trust", ["paper", "outcome", "reliability"])
-@pytest.mark.parametrize("noise", ["state", "action", short_sighted])
-@pytest.mark.parametrize("on_demand", [False, True])
+@pytest.mark.parametrize(
+    ("trust", "noise", "on_demand"),
+    [
+        (trust, noise, (i + j) % 2 == 1)
+        for i, trust in enumerate(("paper", "outcome", "reliability"))
+        for j, noise in enumerate(("state", "action", short_sighted))
+    ],
+)
 def test_the_same_person_with_the_same_numbers_acts_as_in_a_simulation(
     trust: str, noise: str | ChoiceModel, on_demand: bool
 ) -> None:  # fmt: skip

@@ -176,9 +176,9 @@ def test_patience_is_that_of_the_study_where_places_are_not_limited(tiny: Table,
         web = Web(tiny, tmp_path / str(minutes), text) if (tmp_path / str(minutes)).mkdir() is None else None
         assert web is not None
         with web.client:
-            assert web.service._patience("consent") == minutes
-            assert web.service._patience("questionnaire") == 10.0
-            assert web.service._patience("waiting") == 0.5
+            assert web.service.study.patience("consent") == minutes
+            assert web.service.study.patience("questionnaire") == 10.0
+            assert web.service.study.patience("waiting") == 0.5
 
 
 def test_withdrawal_codes_cannot_be_tried_at_will(tiny: Table, tmp_path: Path) -> None:

@@ -151,6 +151,31 @@ def test_theta_of_who_rehearses_moves_by_what_the_condition_shows_of_others(open
     assert moved == {"attention"}
 
 
+def test_time_causes_departures_limits_and_decisions(opened: Open) -> None:
+    session = opened(GROUPS.replace("away = 10", "away = 10\nminutes = 20"))
+    Part(session, "ann").come()
+
+    def caused(seconds: float, **away: float | None) -> list[tuple[str, str]]:
+        """Return what is due at some seconds after the last stage of anybody began, and the last action."""
+        here = session.cohort.participants.values()
+        now = max(max(who.entered, who.acted) for who in here) + seconds
+        return [(event.kind, event.person) for event in session.cohort.caused(now, away)]
+
+    assert caused(0, ann=599.0) == caused(10**6, ann=None) == []
+    assert caused(0, ann=601.0) == [("left", "ann")]
+    waiting(session, "bob", "cyd")
+    assert caused(299, bob=29.0, cyd=None) == []
+    assert caused(0, bob=31.0, cyd=None) == [("left", "bob")]  # who waits has to be there when the group begins
+    assert caused(301, bob=None, cyd=31.0) == [("expired", "bob"), ("left", "cyd")]
+    waiting(session, "dan")
+    tick = session.study.tick
+    here: dict[str, float | None] = dict.fromkeys(("bob", "cyd", "dan"))
+    assert caused(tick - 1, **here) == []
+    assert caused(tick + 1, **here) == [("elapsed", "bob")]  # once for the group
+    assert caused(tick + 1, **here | {"bob": 1.0}) == [("elapsed", "cyd")]
+    assert caused(1201, **here) == [("expired", name) for name in here]
+
+
 def test_nobody_comes_in_time(opened: Open) -> None:
     session = opened(GROUPS)
     (ann,) = waiting(session, "ann")
