@@ -274,7 +274,7 @@ import sys
 from click.testing import CliRunner
 from assist.cli import main
 from assist.cli.command_group import COMMANDS
-heavy = ("numba", "scipy", "matplotlib", "pandas", "unified_planning", "fastapi", "networkx")
+heavy = ("numpy", "numba", "scipy", "matplotlib", "pandas", "unified_planning", "fastapi", "networkx")
 for command in COMMANDS:
     assert CliRunner().invoke(main, [command, "--help"]).exit_code == 0, command
     print(command, [name for name in heavy if name in sys.modules])

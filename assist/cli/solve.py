@@ -10,7 +10,6 @@ import click
 
 from planner import find_instances
 from planner.batch.results_folder import DONE, SolveOptions
-from planner.batch.solve_batch import solve_batch
 from planner.system.limits import processors
 
 from .options.common import (
@@ -66,6 +65,8 @@ def solve(
 
     INSTANCE is a problem file, a folder (all its problems), or a glob.
     """
+    from planner.batch.solve_batch import solve_batch
+
     if resume and out is None:
         raise click.UsageError("--resume needs --out")
     with one_line_errors("interrupted; finished results are saved, --resume continues" if out else "interrupted"):

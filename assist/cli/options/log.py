@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
-import numpy as np
-from numpy.typing import NDArray
 
 import planner
 from planner import Instance, LimitError, Limits, find_instances
@@ -24,6 +22,9 @@ from .settings import EstimateSetting, GoalSetting, ReadingSetting
 from .task import one_instance, tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from planner import CostToGo, OnDemand
 
     from ...learning.evidence import Evidence
@@ -228,6 +229,8 @@ def _evaluate(
 
     States that exceed the time limit get NaN. With `strict`, they raise `LimitError`.
     """
+    import numpy as np
+
     from ...learning.observations import EvaluatedStates
 
     values, limits = walked.values(wanted), Limits(seconds=setting.time_limit)
