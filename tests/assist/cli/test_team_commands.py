@@ -101,7 +101,7 @@ def test_a_policy_of_ones_own_is_simulated_and_bounded_beside_others(own: Path, 
     assert set(silent.pop("differences")) == {"human_actions_per_person", "interventions", "return"}
     assert {**silent, "policy": "none", "differences": None} == none
     assert len((tmp_path / "out.jsonl").read_text().splitlines()) == 120
-    result = invoke("bound", *options, "--value-episodes", 500, "--time-limit", 0.5)
+    result = invoke("bound", *options, "--value-episodes", 50, "--time-limit", 0.5)
     assert result.exit_code == 0, result.output
     assert [c["policy"] for c in json.loads(result.stdout)["policies"]] == ["in_turn", "silent"]
 

@@ -71,7 +71,9 @@ def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool
         eve.errs()
     folder, own = session.folder, eve.name
     _report(folder)
-    (folder / "report" / ".unfinished-1-summary.json").write_bytes(content(folder))
+    (folder / "report" / "figures").mkdir()
+    for name in (".unfinished-1-summary.json", "figures/flow.svg", "figures/.unfinished-2-flow.png"):
+        (folder / "report" / name).write_bytes(content(folder))
     place, before = session.people.index(own), of_others(session, own)
     traces = [f"words of {own}"] if late else ["(fetch", '"cost_before"']
     kept = {
