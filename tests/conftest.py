@@ -24,7 +24,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 from graphs import graph_task as graph_task
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from numba.core import event
 from translator import Translator
 
@@ -145,6 +145,12 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if compiled:
         terminalreporter.write_line(f"compiled while tests ran, {sum(compiled.values()):.0f} s of processor time:")
         terminalreporter.write_line(", ".join(f"{name} {seconds:.1f}" for name, seconds in compiled.most_common()))
+
+
+def costly(share: float) -> settings:
+    """Return settings of a law whose examples take long: it has this share of the usual number of examples."""
+    return settings(max_examples=max(2, round(share * settings.default.max_examples)), deadline=None,
+                    suppress_health_check=[HealthCheck.too_slow])  # fmt: skip
 
 
 def thinned(values: Iterable[Any], every: int = 2) -> list[Any]:

@@ -130,16 +130,16 @@ def test_from_the_engine(tmp_path: Path, name: str) -> None:
 
 
 def test_from_the_command_line(tmp_path: Path) -> None:
-    """All instances are solved at once, as a folder; a refused one does not stop the others."""
-    problems = {}
-    for number, (name, case) in enumerate(CASES.items()):
+    """Instances are solved at once, as a folder; a refused one does not stop the others."""
+    problems, cases = {}, dict(list(CASES.items())[::3])
+    for number, (name, case) in enumerate(cases.items()):
         (tmp_path / f"{number:02}").mkdir()
         problems[name] = case.write(tmp_path / f"{number:02}")
     done = invoke("solve", tmp_path, "--verify", "1", "--json")
-    records = dict(zip(CASES, json.loads(done.stdout), strict=True))
+    records = dict(zip(cases, json.loads(done.stdout), strict=True))
     assert done.exit_code == 1
     assert [one.problem for one in find_instances([tmp_path])] == list(problems.values())
-    for name, case in CASES.items():
+    for name, case in cases.items():
         record = records[name]
         assert (record["instance"], record["cost"]) == (str(problems[name]), case.cost)
         assert record["status"] == ("invalid" if case.cost is None else "solved")

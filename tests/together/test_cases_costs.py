@@ -84,7 +84,10 @@ def compiled_code(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 @pytest.mark.usefixtures("compiled_code")
-@pytest.mark.parametrize(("cost", "problem"), [(10**9, PACKED), (10**12, PACKED.replace(" (= (total-cost) 0)", ""))])
+@pytest.mark.parametrize(
+    ("cost", "problem"),
+    [pytest.param(10**9, PACKED, marks=pytest.mark.slow), (10**12, PACKED.replace(" (= (total-cost) 0)", ""))],
+)
 def test_costs_of_very_different_size_are_bounded_and_simulated(tmp_path: Path, cost: int, problem: str) -> None:
     """Memory and time do not grow with the ratio of costs; a limit is kept in time of this process, as others work."""
     write_instance(tmp_path, PACKING.replace("GO", str(cost)), problem)

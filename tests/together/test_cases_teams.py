@@ -131,13 +131,13 @@ def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatc
 
 def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
     printed = {}
-    for jobs in (1, 2, 3):
+    for jobs in (1, 2):
         out, trace = (tmp_path / f"{jobs}-{name}.jsonl" for name in ("out", "trace"))
         command = ("simulate", TINY, "--humans", 2, "--policy", "priority", "--episodes", 150, "--c-suggest", 0.2)
         result = invoke(*command, "--jobs", jobs, "--out", out, "--trace", trace)
         assert result.exit_code == 0, result.stderr
         printed[jobs] = (result.stdout, out.read_bytes(), trace.read_bytes())
-    assert printed[1] == printed[2] == printed[3]
+    assert printed[1] == printed[2]
     steps = [json.loads(line) for line in printed[1][2].splitlines()]
     order = [(int(row["episode"].rpartition("-")[2]), row["step"], row["place"]) for row in steps]
     assert order == sorted(order)

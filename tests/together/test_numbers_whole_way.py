@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import DOMAINS, invoke, table_of, write_instance
+from fuzz import here
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from teams import equal, run
@@ -151,11 +152,11 @@ def test_a_recorded_log_is_fitted(files: Instance, trace: list[dict[str, Any]], 
 
 
 def test_one_persons_policy_and_the_bound_of_a_team(files: Instance) -> None:
-    policy = json.loads(invoke("policy", files.problem, "--time-limit", 2, "--c-suggest", 0.1, "--json").stdout)
+    policy = json.loads(invoke("policy", files.problem, "--time-limit", 1, "--c-suggest", 0.1, "--json").stdout)
     assert policy["value_never"] <= policy["lower"] <= policy["upper"] <= -5.1 * 0.98  # at best 2.5, 2.5, 0.1
     bound = json.loads(invoke(
         "bound", files.problem, "--humans", 2, "--policy", "attention", "--c-suggest", 0.1, "--value-episodes", 30,
-        "--time-limit", 5, "--json",
+        "--time-limit", 2, "--json",
     ).stdout)  # fmt: skip
     assert bound["value"] - 4 * bound["value_stderr"] <= bound["upper"] <= 2 * -5.1 * 0.98
 
@@ -188,8 +189,10 @@ def test_an_environments_reward_is_in_the_files_unit(files: Instance, mixing: Ta
     assert "litres = 0.5" in str(env.render())
 
 
-def test_a_study_runs(files: Instance, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("one_picture")
+def test_a_study_runs(files: Instance, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pandas")
+    monkeypatch.setattr("assist.studies.runner.outcomes", here)
     (tmp_path / "study.toml").write_text(
         f'instances = ["{files.problem}"]\nrepeats = 2\nhumans = [2]\npool = 2\ndraws = 1\ntrials = 2\n'
         'policies = ["none", "attention"]\n[setting]\nc_suggest = 0.1\n'

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import KITTING
+from fuzz import here
 
 from assist import Pool, compare, fit, simulate
 from assist.certify.coupled import Agents, bound, joint_optimum, sampled_bound
@@ -75,7 +76,7 @@ def test_without_a_result_the_error_says_how_far_it_came(name: str) -> None:
 FINISHED: dict[str, tuple[Callable[[float | None], Any], Callable[[Any], Any]]] = {
     "simulate": (
         lambda limit: simulate(
-            Pool.sample("kitting/tiny", 2, seed=0), "none", humans=2, episodes=2000, seed=0, time_limit=limit
+            Pool.sample("kitting/tiny", 2, seed=0), "none", humans=2, episodes=500, seed=0, time_limit=limit
         ),
         len,
     ),
@@ -124,13 +125,14 @@ def test_models_without_time_are_named() -> None:
     assert "no time for goals, arguments" in repr(found)
 
 
-def test_a_study_goes_on_where_its_time_was_up(tmp_path: Path) -> None:
+def test_a_study_goes_on_where_its_time_was_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = tmp_path / "small.toml"
     task = KITTING / "tiny.pddl"
     plan.write_text(
         f'instances = ["{task}"]\nrepeats = 2\npool = 2\ndraws = 1\ntrials = 1\nhumans = [1, 2]\n'
         'policies = ["none", "reactive"]\nfocus = "reactive"\n'
     )
+    monkeypatch.setattr("assist.studies.runner.outcomes", here)
     late = run_study(plan, tmp_path / "out", time_limit=AT_ONCE)
     assert late
     assert {str(error) for _, error in late} == {"out of time; `resume` continues with this cell"}

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from conftest import DOMAINS, KITTING, graph_task, table_of, write_instance
 from plain import task_of
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, Task, cost_to_go, load, sweep
+from planner.costtogo import portfolio
 from planner.costtogo.astar import fastest_search
 from planner.grounding.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
 from planner.grounding.semantics import plan_cost
@@ -236,11 +239,18 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
     little = cost_to_go(load(HUGE), memory_limit_mb=20)
     assert isinstance(little, OnDemand)
     assert "memory" in (little.reason or "")
-    middle = load(KITTING / "ladder-4x9.pddl")  # 88 million states, one of which is wanted
-    few = cost_to_go(middle, states=np.array([middle.initial]), max_states=10**12)
+    middle, sweep_of = load(KITTING / "ladder-4x7.pddl"), portfolio.sweep
+
+    def endless(task: Task, *, stop: threading.Event, **options: Any) -> Table:
+        assert stop.wait(60)
+        return sweep_of(task, stop=stop, **options)
+
+    with monkeypatch.context() as patch:  # one of its states is wanted, and found before all are swept
+        patch.setattr(portfolio, "sweep", endless)
+        few = cost_to_go(tiny.task, states=np.array([tiny.task.initial]))
     assert isinstance(few, OnDemand)
     assert "asking for 1 states took" in (few.reason or "")
-    assert few.known([few.initial])[0] == 17
+    assert few.known([few.initial])[0] == 6
     hasty = cost_to_go(middle, states=np.array([middle.initial]), max_states=10**5, limits=Limits(seconds=0.001))
     assert isinstance(hasty, OnDemand)  # no search answers in a millisecond, so that the sweep had to try
     assert hasty.reason == "more than 100000 states"

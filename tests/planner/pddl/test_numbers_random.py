@@ -52,7 +52,7 @@ def compared(seed: int, folder: Path, *, free: bool = False) -> str:
     return "on demand" if task.beyond else "swept"
 
 
-@pytest.mark.parametrize("first", thinned(range(0, 60, 10), 3))
+@pytest.mark.parametrize("first", thinned(range(0, 60, 10), 6))
 def test_random_tasks_have_the_cost_and_the_states_of_their_meaning(first: int, tmp_path: Path) -> None:
     assert sum(bool(compared(seed, tmp_path)) for seed in range(first, first + 10)) >= 1
 
@@ -76,7 +76,7 @@ def test_a_task_without_a_plan_is_swept_although_nothing_bounds_its_numbers(
     assert compared(seed, tmp_path, free=free) == "swept"
 
 
-@pytest.mark.parametrize("first", range(0, 24, 8))
+@pytest.mark.parametrize("first", thinned(range(0, 24, 8), 3))
 def test_random_tasks_whose_numbers_nothing_bounds(first: int, tmp_path: Path) -> None:
     assert any(compared(seed, tmp_path, free=True) for seed in range(first, first + 8))
 

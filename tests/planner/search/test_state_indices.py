@@ -10,7 +10,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from test_dense import composed, only_dense
 from test_sweep import COMPILED, UNLISTED, check, numbering, random_task, with_blocks_of
@@ -89,7 +90,7 @@ COSTS = [range(1, 2), range(3), range(1), range(3, 90_000, 11), range(0, 10**12,
 
 
 @pytest.mark.parametrize("way", WAYS)
-@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@costly(0.3)
 @given(
     st.integers(0, 10**6),
     st.sampled_from(COSTS),
