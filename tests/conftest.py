@@ -147,10 +147,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.write_line(", ".join(f"{name} {seconds:.1f}" for name, seconds in compiled.most_common()))
 
 
-def costly(share: float) -> settings:
-    """Return settings of a law whose examples take long: it has this share of the usual number of examples."""
-    return settings(max_examples=max(2, round(share * settings.default.max_examples)), deadline=None,
-                    suppress_health_check=[HealthCheck.too_slow])  # fmt: skip
+def costly(quick: int, thorough: int) -> settings:
+    """Return settings of a law whose examples take long: how many `make test` has, and how many `make test-all`."""
+    number = thorough if settings.default.max_examples == settings.get_profile("thorough").max_examples else quick
+    return settings(max_examples=number, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def thinned(values: Iterable[Any], every: int = 2) -> list[Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import kit
+from conftest import costly, kit
 from hypothesis import given
 from hypothesis import strategies as st
 from sessions import EASY, SETTING
@@ -66,6 +66,7 @@ def test_names_of_any_script_are_names_composed_or_not(tiny: Table, tmp_path: Pa
     session.close()
 
 
+@costly(9, 100)
 @given(st.text(max_size=70))
 def test_a_name_has_one_form_and_no_path(text: str) -> None:
     once = name_of(text)

@@ -125,7 +125,7 @@ def test_no_simulated_policy_exceeds_the_bound(tiny: Table, rule: str, robots: i
     pool = pool_of(tiny, RULES[rule], robots=robots)
     bound = upper_bound(pool, [0, 1])
     for name in ("attention", "attention-outlook", "priority"):
-        found = bound.certify(name, episodes=400)
+        found = bound.certify(name, episodes=200)
         assert found.value - 3 * found.value_stderr <= bound.upper
 
 
@@ -180,6 +180,6 @@ def test_the_bound_holds_with_several_goals(tiny: Table) -> None:
     goals = Goals(dict(zip(("own", "other"), sweep_goals([tiny.task, other]), strict=True)), {"own": 0.6, "other": 0.4})
     pool = pool_of(goals, SeenOutcome(0.3), c_suggest=0.05)
     bound = upper_bound(pool, [0, 1])
-    for name, episodes in {"attention": 500, "attention-outlook": 500, "priority": 500, "rollout": 5}.items():
+    for name, episodes in {"attention": 200, "attention-outlook": 200, "priority": 200, "rollout": 2}.items():
         found = bound.certify(name, episodes=episodes)
         assert found.value - 3 * found.value_stderr <= bound.upper

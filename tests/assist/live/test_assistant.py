@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from assist.declare import AbsentError, InapplicableError
@@ -237,7 +238,7 @@ def happen(desk: Assistant, events: list[tuple[str, int, int]]) -> None:
             desk.arrived(name if luck else None)
 
 
-@settings(max_examples=40, deadline=None)
+@costly(12, 40)
 @given(EVENTS, EVENTS)
 def test_a_restored_team_is_the_same_and_goes_on_the_same(
     tiny: Table, events: list[tuple[str, int, int]], more: list[tuple[str, int, int]]
@@ -256,7 +257,7 @@ def test_a_restored_team_is_the_same_and_goes_on_the_same(
         happen(again, more)
 
 
-@settings(max_examples=30, deadline=None)
+@costly(15, 50)
 @given(EVENTS, st.integers(0, 9))
 def test_undo_takes_back_what_was_observed(tiny: Table, events: list[tuple[str, int, int]], luck: int) -> None:
     desk = Assistant(tiny, list("abc"), setting=Setting(c_suggest=0.05))

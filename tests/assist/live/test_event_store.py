@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import costly
 from graphs import graph_task
-from hypothesis import given, settings
+from hypothesis import given
 from sessions import EASY, HAPPENS, SETTING, all_of, happen
 from store_faults import Failing, schedule
 from userstudies import PLAN, Part, written
@@ -73,7 +74,7 @@ def test_after_an_erasure_the_policy_knows_the_tasks_that_it_knows_after_a_resta
     session.close()
 
 
-@settings(max_examples=8, deadline=None)
+@costly(4, 12)
 @given(HAPPENS, HAPPENS)
 def test_an_erased_person_changes_nothing_for_the_others(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import kit
-from hypothesis import given, settings
+from conftest import costly, kit
+from hypothesis import given
 from hypothesis import strategies as st
 from test_uncertain_actions import NOISY
 from test_unknown_goals import LAPSE, SMALL, Steps, by_enumeration, three_goals
@@ -242,7 +242,7 @@ def test_a_policy_that_never_suggests_never_asks() -> None:
 EVENTS = st.lists(st.tuples(st.sampled_from("adlmuqnbr"), st.integers(0, 5), st.floats(0, 1)), max_size=8)
 
 
-@settings(max_examples=8, deadline=None)
+@costly(4, 12)
 @given(EVENTS)
 def test_a_session_of_doubtful_actions_and_answers_resumes_to_the_bit(tmp_path_factory: Any, moves: Any) -> None:
     journal = tmp_path_factory.mktemp("session") / "journal.sqlite"

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, all_of
 from starlette.testclient import TestClient
@@ -185,7 +186,7 @@ def test_two_robots_that_report_the_same_arrival(tiny: Table, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("robots", [2, (Robot(c_suggest=0.5), Robot(c_suggest=0.0, c_move=0.0, travel_time=1))])
-@settings(max_examples=8, deadline=None)
+@costly(4, 12)
 @given(events=HAPPENS, seed=st.integers(0, 10**6))
 def test_a_session_of_two_robots_is_restored(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, int, int]], seed: int,

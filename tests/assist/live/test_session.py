@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, happen
 
@@ -48,7 +49,7 @@ def opened(tiny: Table, fixed: Table, tmp_path: Path) -> Callable[..., Session]:
         session.close()
 
 
-@settings(max_examples=8, deadline=None)
+@costly(4, 15)
 @given(HAPPENS, HAPPENS, st.booleans())
 def test_a_session_that_goes_on_is_the_same_to_the_bit(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any, far: bool

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke, kit
-from hypothesis import given, settings
+from conftest import KITTING, costly, invoke, kit
+from hypothesis import given
 from hypothesis import strategies as st
 
 from assist.certify.team_bound import upper_bound
@@ -129,7 +129,7 @@ def test_the_papers_rule_is_what_there_is_without_one() -> None:
 
 @pytest.mark.parametrize("rule", ALL.values(), ids=ALL)
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=8, deadline=None)
+@costly(3, 10)
 def test_the_filter_is_the_sum_over_all_hidden_paths(rule: TrustRule, seed: int) -> None:
     """A path is beta, the initial theta, and one of two grid points after each suggestion."""
     pomdp, rng = problem(rule), np.random.default_rng(seed)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import thinned
 from teams import equal
 from test_unknown_goals import three_goals
 
@@ -40,7 +41,7 @@ def pools(goals: Goals, setting: Setting, region: int = EVERYTHING) -> tuple[Poo
     )
 
 
-SLOW = {("whittle", "people"), ("none", "model"), ("priority", "people")}
+SLOW = {("whittle", "people"), ("whittle", "model"), ("none", "model"), ("priority", "people")}
 
 
 @pytest.mark.parametrize(
@@ -246,7 +247,7 @@ def test_the_size_of_a_part_counts_memory_where_the_goal_is_known() -> None:
         Pool.sample(table, 3, seed=1, states=1, memory_limit_mb=0.4)
 
 
-@pytest.mark.parametrize("policy", ["attention", "attention-never"])
+@pytest.mark.parametrize("policy", thinned(["attention", "attention-never"]))
 def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Questions about goals are worth as much, and so is help against none."""
     goals, setting = three_goals("sealed"), Setting(c_suggest=0.2, c_move=0.1, c_ask=0.05, ask_error=0.1, max_steps=60)
@@ -283,11 +284,11 @@ def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any) -> None
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge, gamma=0.9)
     goals = three_goals("tiny")
     whole = Pool.sample(goals, 2, seed=1, setting=setting)
-    exact = upper_bound(whole, gap=0.02)
+    exact = upper_bound(whole, gap=0.05)
     least = exact.upper - exact.slack
     for region in (2, EVERYTHING):
         part = Pool.sample(goals, 2, seed=1, setting=setting, states=1, region=region)
-        found = upper_bound(part, gap=0.02)
+        found = upper_bound(part, gap=0.05)
         assert found.upper >= least - 1e-6
         value = found.certify("priority", episodes=200, seed=2)
         assert value.value - 4 * value.value_stderr <= found.upper

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, table_of
+from conftest import KITTING, table_of, thinned
 
 from assist.certify import upper_bound
 from assist.certify.options import BoundOptions
@@ -59,7 +59,7 @@ def test_pairs_are_those_of_the_enumerated_task(tiny: Table) -> None:
 
 
 @pytest.mark.parametrize("knowledge", ["own", "exact"])
-@pytest.mark.parametrize("prior", [None, Population()])
+@pytest.mark.parametrize("prior", thinned([None, Population()]))
 def test_episodes_with_terms_are_those_of_the_whole_task(prior: Any, knowledge: Any, monkeypatch: Any) -> None:
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge)
     both = pools(sealed(), monkeypatch, setting=setting, prior=prior)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import costly
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -64,7 +65,7 @@ SEEDS, GOALS = st.integers(0, 10**6), st.sampled_from([1, 3])
 LAPSES = st.sampled_from([0.0, 0.001, 0.3])
 
 
-@settings(max_examples=40, deadline=None)
+@costly(15, 50)
 @given(SEEDS, GOALS, st.booleans(), LAPSES, st.sampled_from([None, 0, 2]), st.sampled_from([0, 1, 2, 50]))
 def test_a_step_of_people(
     seed: int, goals: int, answers: bool, lapse: float, outcomes: int | None, people: int
@@ -88,7 +89,7 @@ def test_a_step_of_people(
         np.testing.assert_array_equal(one, other, err_msg=name)
 
 
-@settings(max_examples=40, deadline=None)
+@costly(15, 50)
 @given(SEEDS, GOALS, st.booleans(), LAPSES, st.booleans(), st.sampled_from([1, 2, 40]))
 def test_the_beliefs_after_a_step(
     seed: int, goals: int, answers: bool, lapse: float, believed: bool, people: int

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import KITTING, graph_task, invoke, kit, table_of, thinned
-from hypothesis import given, settings
+from conftest import KITTING, costly, graph_task, invoke, kit, table_of, thinned
+from hypothesis import given
 from hypothesis import strategies as st
 
 from assist.people.choices import Choices
@@ -226,7 +226,7 @@ def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
     assert unknown.upper >= known.lower
 
 
-@settings(max_examples=25, deadline=None)
+@costly(9, 30)
 @given(st.integers(1, 150), st.floats(0.5, 0.995), st.floats(0, 2), st.floats(0.5, 2))
 def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: float, gap: float) -> None:
     """They are ordered exactly, wherever the search ends: at a gap of 2, it mostly does so before its first trial."""

@@ -79,7 +79,7 @@ CASES = [
     pytest.param(task, *way, marks=[] if way in quick else [pytest.mark.slow])
     for task, quick in (
         ("sealed", [WAYS[1], *WAYS[4:6], WAYS[8], WAYS[10], WAYS[12]]),
-        ("costs/ways", [WAYS[2], WAYS[11]]),
+        ("costs/ways", [WAYS[2]]),
     )
     for way in WAYS
 ]
@@ -119,7 +119,7 @@ def test_the_next_step_is_the_same_by_either_policy(tiny: Table) -> None:
     ("suggestions", "knowledge"),
     [
         ("optimal", "own"),
-        ("all", "exact"),
+        pytest.param("all", "exact", marks=pytest.mark.slow),
         pytest.param("optimal", "exact", marks=pytest.mark.slow),
         pytest.param("all", "own", marks=pytest.mark.slow),
     ],

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from teams import equal, run
 
@@ -209,7 +210,7 @@ def test_summary_by_hand(pool: Pool) -> None:
     assert typical(made, replace(made, actions=np.full((3, 2), 20))).actions == (6, 12)
 
 
-@settings(max_examples=15, deadline=None)
+@costly(6, 20)
 @given(st.integers(0, 10_000), st.integers(1, 5), st.sampled_from(POLICIES))
 def test_laws_of_every_episode(pool: Pool, seed: int, humans: int, name: str) -> None:
     seen: list[TeamState] = []
@@ -328,7 +329,7 @@ def matrices(places: int) -> st.SearchStrategy[np.ndarray]:
     return st.lists(st.sampled_from([0.0, 0.5, 1.0, 2.5]), min_size=size, max_size=size).map(build)
 
 
-@settings(max_examples=20, deadline=None)
+@costly(8, 25)
 @given(st.data())
 def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataObject) -> None:
     """The robot acts only on people who are present, pays for travel only when it moves, and rewards add up."""

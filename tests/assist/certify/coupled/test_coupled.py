@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import thinned
+from conftest import costly, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
@@ -115,7 +115,7 @@ def test_the_joint_optimum_is_that_of_brute_force(seed: int) -> None:
         coupled.joint_optimum(agents, 1, largest=7)
 
 
-@settings(max_examples=8, deadline=None)
+@costly(3, 10)
 @given(st.integers(0, 10**6), st.integers(1, 3), st.integers(2, 3), st.integers(0, 2))
 def test_samples_are_between_the_optimum_and_the_prices_bound(seed: int, count: int, states: int, M: int) -> None:
     """Prices of a sample path never give a lower bound than the best actions on it, whichever prices it begins with."""
@@ -129,7 +129,7 @@ def test_samples_are_between_the_optimum_and_the_prices_bound(seed: int, count: 
     assert by_prices.mean <= solved.upper + 1e-9
 
 
-@settings(max_examples=5, deadline=None)
+@costly(2, 7)
 @given(st.integers(0, 10**6), st.integers(1, 3), st.floats(0, 2))
 def test_without_chance_samples_give_the_optimum(seed: int, count: int, M: float) -> None:
     rng = np.random.default_rng(seed)
@@ -189,7 +189,7 @@ def test_simulated_means_are_the_policys_value(seed: int) -> None:
     agents = problem(seed, 3)
     act, solved = policy(agents, "benefit", 1), bound(agents, 1)
     wanted = exact_value(agents, act, 1)
-    plain, varied = (simulate(agents, act, 1, runs=4000, seed=seed, control=one) for one in (None, solved))
+    plain, varied = (simulate(agents, act, 1, runs=1500, seed=seed, control=one) for one in (None, solved))
     for run in (plain, varied):
         assert abs(run.value - wanted) < 4 * run.stderr + run.rest
     assert varied.stderr < plain.stderr
@@ -198,7 +198,7 @@ def test_simulated_means_are_the_policys_value(seed: int) -> None:
     np.testing.assert_array_equal(first.rewards, plain.rewards[:10])  # more runs do not change the first ones
 
 
-@settings(max_examples=30, deadline=None)
+@costly(12, 40)
 @given(st.integers(0, 10**6), st.integers(1, 6), st.integers(2, 3), st.integers(0, 4))
 def test_compiled_choices_are_those_of_the_index(seed: int, count: int, actions: int, resources: int) -> None:
     rng = np.random.default_rng(seed)
@@ -215,7 +215,7 @@ def test_compiled_choices_are_those_of_the_index(seed: int, count: int, actions:
 
 def test_rollout_is_better_than_the_policy_it_begins_from() -> None:
     better = []
-    for seed in (1, 2, 4, 11):
+    for seed in (2, 11):
         agents = problem(seed, 3, 2)
         solved = bound(agents, 1, window=12)
         options = RolloutOptions(samples=2000, horizon=25, alternatives=6)
