@@ -154,9 +154,9 @@ class TeamEvent(Event):
         """
         raise NotImplementedError
 
-    def remains(self, person: str, label: str) -> TeamEvent:  # noqa: ARG002
-        """Return what remains of it when the records of a person are erased, for whom the label stands."""
-        return self
+    def remains(self, label: str) -> TeamEvent:
+        """Return what remains of it when its person's records are erased, for whom the label stands: all but names."""
+        return self.model_copy(update={"person": label, "id": None})
 
     def entry(self) -> dict[str, Any]:
         """Return what the operator's list shows of it beside its kind and person."""
@@ -192,9 +192,9 @@ class OfPerson(TeamEvent):
         desk.require(self.person)
         return self
 
-    def remains(self, person: str, label: str) -> TeamEvent:  # noqa: ARG002
+    def remains(self, label: str) -> TeamEvent:  # noqa: ARG002
         """Return that something was erased."""
-        return Erased() if self.person == person else self
+        return Erased()
 
     @property
     def concerned(self) -> str | None:

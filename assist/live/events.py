@@ -80,11 +80,9 @@ class Joined(OfPerson):
         """Add the person."""
         desk.joined(self.person, self.task, population=self.population, belief=self.belief)
 
-    def remains(self, person: str, label: str) -> TeamEvent:
+    def remains(self, label: str) -> TeamEvent:
         """Keep the place of a person who came for the first time."""
-        if self.person == person and self.task is not None:
-            return Vacant(person=label, task=self.task)
-        return super().remains(person, label)
+        return super().remains(label) if self.task is None else Vacant(person=label, task=self.task)
 
 
 class Left(OfPerson):
@@ -168,11 +166,9 @@ class Acted(OfPerson):
             self.person, self.action, heard=self.heard, likelihoods=self.likelihoods, missed=self.missed, time=time
         )
 
-    def remains(self, person: str, label: str) -> TeamEvent:
+    def remains(self, label: str) -> TeamEvent:
         """Keep what neighbours saw, since it is a part of what is believed of them."""
-        if self.person == person and self.shown is not None:
-            return Witnessed(person=label, shown=self.shown)
-        return super().remains(person, label)
+        return super().remains(label) if self.shown is None else Witnessed(person=label, shown=self.shown)
 
     def take_back(self, desk: Desk) -> str | None:
         """Return to the state and belief before the action. The suggestion before it is open again."""
@@ -214,9 +210,9 @@ class Undone(OfPerson):
         del done[place]
         return taken
 
-    def remains(self, person: str, label: str) -> TeamEvent:
+    def remains(self, label: str) -> TeamEvent:
         """Keep that neighbours did not see it."""
-        return Witnessed(person=label) if self.person == person and self.shown else super().remains(person, label)
+        return Witnessed(person=label) if self.shown else super().remains(label)
 
     def entry(self) -> dict[str, Any]:
         """Return what was taken back."""
@@ -293,10 +289,6 @@ class Arrived(TeamEvent):
         """Put the robot there."""
         desk.has_arrived(self.person, robot=self.robot)
 
-    def remains(self, person: str, label: str) -> TeamEvent:
-        """Keep where the robot was, without the name."""
-        return Arrived(person=label, robot=self.robot) if self.person == person else self
-
 
 class Elapsed(TeamEvent):
     """Time that passes without an action; it is recorded only if the robots then do something new."""
@@ -369,10 +361,6 @@ class Vacant(Kept):
     task: str
     """The task of the person."""
 
-    def remains(self, person: str, label: str) -> TeamEvent:
-        """Keep the place under the label, also of a participant who withdrew before, whose code had it."""
-        return Vacant(person=label, task=self.task) if self.person == person else self
-
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
         """Keep the place."""
         desk.joined(self.person, self.task)
@@ -387,10 +375,6 @@ class Witnessed(Kept):
     """The label of the person."""
     shown: tuple[bool, float] | None = None
     """As in `Acted`; null if what was seen last was taken back."""
-
-    def remains(self, person: str, label: str) -> TeamEvent:
-        """Keep it under the label."""
-        return Witnessed(person=label, shown=self.shown) if self.person == person else self
 
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
         """Move what is believed of those who saw it."""

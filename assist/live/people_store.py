@@ -12,11 +12,9 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
-import os
 import sqlite3
-import stat
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -26,9 +24,7 @@ import numpy as np
 from planner.system.errors import InputFileError
 
 from ..people.decision import Floats
-from .store import JournalError
-
-OWNER_ONLY = stat.S_IRUSR | stat.S_IWUSR
+from .store import JournalError, private
 
 TABLE = """
 CREATE TABLE IF NOT EXISTS people (
@@ -75,10 +71,7 @@ class PeopleStore:
         if not 0 < days <= most:
             raise ValueError(f"days {days}: expected a number above 0 and up to {most:,}")
         self.file, self._days, self._except, self._now = Path(file), days, frozenset(except_for), now
-        self.file.parent.mkdir(parents=True, exist_ok=True)
-        os.close(os.open(self.file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY))
-        with suppress(PermissionError):  # the file is another user's, who shares it
-            self.file.chmod(OWNER_ONLY)
+        private(self.file)
         with self._connected() as db:
             db.execute(TABLE)
         self.expire()

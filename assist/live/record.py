@@ -121,7 +121,7 @@ class TeamRecord(Record):
         before : float
             Time of the event before: the person's own times are theirs.
         """
-        event = self.event.remains(person, label)
+        event = self.event.remains(label) if self.event.who == person else self.event
         changes: dict[str, Any] = {} if event is self.event else {"event": event, "time": before}
         return self.model_copy(
             update={**changes, "advices": tuple(_unnamed(one, person, label) for one in self.advices)}

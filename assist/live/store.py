@@ -84,15 +84,13 @@ class EventStore(Generic[R]):
 
     def __init__(self, file: Path, kind: type[R]) -> None:
         self.file, self._kind = file, kind
-        self.file.parent.mkdir(parents=True, exist_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
         self._lock = os.open(self.file.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY)
         self._db: sqlite3.Connection = None  # type: ignore[assignment]  # until it is connected
         self._failed: str | None = None  # why the last transaction could not be written
         try:
             self._lock_file()
-            os.close(os.open(self.file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY))
-            with suppress(PermissionError):  # the file is another user's, who shares it
-                self.file.chmod(OWNER_ONLY)  # SQLite gives its log the same permissions
+            private(self.file)  # SQLite gives its log the same permissions
             self._db = self._connected()
             try:
                 self.purge()
@@ -332,6 +330,14 @@ def _stored(file: Path) -> tuple[dict[str, Any] | None, list[tuple[str | None, d
     except sqlite3.Error as error:
         raise _as_error(error, file) from error
     return header, [(at, _document(record, file, n)) for n, at, record in rows]
+
+
+def private(file: Path) -> None:
+    """Create a file, with its folder, unless it exists, and let only its owner read it."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    os.close(os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY))
+    with suppress(PermissionError):  # the file is another user's, who shares it
+        file.chmod(OWNER_ONLY)
 
 
 def utc() -> str:

@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 from ..declare.declared import AnyNumber, AnyText, Truth, View, Whole, declared
 from ..live.contrast import Contrast
 from ..live.explanation import WhyNothing, WhyPerson, WhyStep
-from ..live.views import MemberView, Outlook
+from ..live.views import MemberView, Outlook, PersonView
 from ..studies.userstudy.views import ParticipantView
 
 
@@ -79,12 +79,11 @@ class Explained(BaseModel):
     seq: int
 
 
-class Place(BaseModel):
-    """A person who joined, and the address of the person's page."""
+@declared(kw_only=True)
+class Place(PersonView):
+    """The view of a person who joined, and the address of the person's page."""
 
-    person: str
-    join: str
-    seq: int
+    join: AnyText
 
 
 @declared(kw_only=True)
