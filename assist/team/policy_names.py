@@ -11,3 +11,8 @@ WEIGHING = tuple(name for name in POLICIES if name not in BASELINES)
 
 SELDOM = 25.0
 """Percentage of people who get a suggestion below which a policy hardly assists anybody."""
+
+
+def hardly_assists(policy: str, assisted: float) -> bool:
+    """Return whether a policy weighs costs, and suggests something to so few people (in percent) that it is said."""
+    return policy in WEIGHING and assisted < SELDOM

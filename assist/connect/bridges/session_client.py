@@ -15,6 +15,12 @@ from ...declare.refusals import Refusal
 from ...live.event_base import Event
 from ...web.client import AGAIN, Client, EventReader, request_of
 
+PATIENCE = 60.0
+"""Seconds after which an unanswered request is sent again. It must exceed the time of a slow decision."""
+
+MOST = 8
+"""Requests at a time. More share a write to the disk, but the client looks at every connection at each request."""
+
 
 class SessionClient:
     """A connection to the service with the operator's rights; requests are repeated until they are answered.
@@ -25,10 +31,6 @@ class SessionClient:
         The operator's link.
     pause : float
         Seconds before a request or connection is tried again. Fewer add load, more add delay.
-    patience : float
-        Seconds after which an unanswered request is sent again. It must exceed the time of a slow decision.
-    most : int
-        Requests at a time. More share a write to the disk, but the client looks at every connection at each request.
     silence : float
         Seconds without a sign of life after which the stream counts as lost. The service sends one every 15 s.
 
@@ -38,17 +40,15 @@ class SessionClient:
         A short text that identifies the session; the links cannot be told from it.
     """
 
-    def __init__(
-        self, link: str, *, pause: float = 0.5, patience: float = 60.0, most: int = 8, silence: float = 40.0
-    ) -> None:
+    def __init__(self, link: str, *, pause: float = 0.5, silence: float = 40.0) -> None:
         token = urlsplit(link).fragment
         self.session = hashlib.sha256(token.encode()).hexdigest()[:16]
         self._pause, self._silence = pause, httpx2.Timeout(silence, pool=None)
         # A request waits without limit for one of the connections; one more has the stream.
         self._http = httpx2.AsyncClient(
             base_url=Client(link).url, headers={"Authorization": f"Bearer {token}"},
-            timeout=httpx2.Timeout(patience, pool=None), trust_env=False,
-            limits=httpx2.Limits(max_connections=most + 1, max_keepalive_connections=most + 1),
+            timeout=httpx2.Timeout(PATIENCE, pool=None), trust_env=False,
+            limits=httpx2.Limits(max_connections=MOST + 1, max_keepalive_connections=MOST + 1),
         )  # fmt: skip
 
     async def ask(self, method: str, path: str, body: Any = None) -> Any:

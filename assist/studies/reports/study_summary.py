@@ -16,7 +16,7 @@ from planner.system.files import finite
 
 from ...learning.intervals import IntervalEstimate
 from ...person.settings import Setting
-from ...team.policy_names import BASELINES, SELDOM, WEIGHING
+from ...team.policy_names import BASELINES, hardly_assists
 from .. import statistics
 from ..study import SCHEMA, Study
 
@@ -193,7 +193,7 @@ class Found:
             *arm, policy = _texts(key)
             labels = dict(zip(ARM, arm, strict=True))
             costs = set(self._setting(labels).fleet.each("c_suggest").tolist())
-            if policy in WEIGHING and assisted < SELDOM and len(costs) == 1:
+            if hardly_assists(policy, assisted) and len(costs) == 1:
                 found.append({**labels, "policy": policy, "assisted": assisted, "c_suggest": costs.pop()})
         return found
 

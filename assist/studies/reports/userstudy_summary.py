@@ -9,7 +9,7 @@ from typing import Any
 
 from planner.system.files import finite
 
-from ...team.policy_names import SELDOM, WEIGHING
+from ...team.policy_names import hardly_assists
 from ..statistics import FEW, cronbach_alpha
 from ..userstudy.outcomes import Row
 from ..userstudy.plan import UserStudy
@@ -61,8 +61,8 @@ def _seldom_assisted(data: StudyData) -> Iterator[Row]:
     """Yield the conditions in which a policy that weighs costs hardly assisted, with the percentage of tasks."""
     for one in data.study.conditions:
         own = [row for row in data.tables.tasks if row["condition"] == one.name and row["actions"]]
-        assisted = 100 * fmean(bool(row["suggestions"]) for row in own) if own else SELDOM
-        if one.policy in WEIGHING and assisted < SELDOM:
+        assisted = 100 * fmean(bool(row["suggestions"]) for row in own) if own else 100.0
+        if hardly_assists(one.policy, assisted):
             costs = {"c_suggest": one.setting.c_suggest, "c_move": one.setting.c_move}
             yield {"condition": one.name, "policy": one.policy, "assisted": assisted, **costs}
 

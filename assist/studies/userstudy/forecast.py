@@ -20,7 +20,7 @@ from ...declare.declared import Count, Number, Text, declared
 from ...people.decision import Floats
 from ...person.settings import Setting
 from ...team.episodes import Episodes
-from ...team.policy_names import SELDOM, WEIGHING
+from ...team.policy_names import WEIGHING, hardly_assists
 from ...team.pool import Pool
 from ...team.simulate import simulate
 from ..repeated_measures import detectable_within
@@ -122,8 +122,8 @@ class Forecast:
     def seldom_assisted(self) -> Iterator[str]:
         """Yield a sentence on each condition whose policy weighs costs and hardly assists anybody."""
         for one in self.study.conditions:
-            assisted = self.assisted.get(one.name, SELDOM)
-            if one.policy in WEIGHING and assisted < SELDOM:
+            assisted = self.assisted.get(one.name, 100.0)
+            if hardly_assists(one.policy, assisted):
                 costs = f"c_suggest {one.setting.c_suggest:g}, c_move {one.setting.c_move:g}"
                 said = f"{one.name} suggests something to {assisted:.0f} % of simulated people: hardly any suggestion"
                 yield f"{said} is worth its cost ({costs}); set lower costs in the table `setting`"

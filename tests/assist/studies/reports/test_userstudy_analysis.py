@@ -627,6 +627,7 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
 
 
 def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
     file = written(tmp_path / "study.toml", CONFIRMED.replace("seed = 3", "seed = 3\nparticipants = 13"))
     said = run("study-prepare", file, "--check")
     printed = json.loads(said.stdout)
