@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from planner.system.errors import MissingExtraError
 from planner.system.progress import stages
 
 from ..declare.options import Given
-from .options.common import is_given
+from .options.common import is_given, new_folder
 from .options.listening import Listening
 from .options.task import costs_of
 from .terminal.console import ExitCode, fail, note, one_line_errors
@@ -42,18 +41,11 @@ OF_STUDIES = {
 """Options that can be combined with `--study`. The study's file settles everything else."""
 
 
-def new_folder() -> Path:
-    """Make a temporary folder for a session without `--data`, and return its path."""
-    return Path(tempfile.mkdtemp(prefix="kitassist-"))
-
-
-def conduct(
-    file: Path, data: Path | None, given: Given[Any], at: Listening, rehearse: int
-) -> None:  # fmt: skip
+def conduct(file: Path, data: Path | None, given: Given[Any], at: Listening, rehearse: int) -> None:
     """Serve a user study. After a rehearsal, write its export and report."""
     context = click.get_current_context()
     for name in context.params:
-        if is_given(name) and name not in {*OF_STUDIES, "changes", "setting_file"}:
+        if is_given(name) and name not in OF_STUDIES:
             option = next(one for one in context.command.params if one.name == name)
             raise click.UsageError(f"{option.opts[0]} cannot be combined with --study; the study's file sets it")
     for source, _ in given.sources.values():

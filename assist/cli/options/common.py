@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import update_wrapper
 from pathlib import Path
@@ -177,6 +178,11 @@ def data_option(*, required: bool) -> Option[Any]:
         "--data", type=OUTPUT_FOLDER, required=required, metavar="DIR",
         help="Folder of the session or study, which is resumed if it has begun.",
     )  # fmt: skip
+
+
+def new_folder() -> Path:
+    """Make a temporary folder for a session without `--data`, and return its path."""
+    return Path(tempfile.mkdtemp(prefix="kitassist-"))
 
 
 instance_argument = click.argument("instance", metavar="INSTANCE")

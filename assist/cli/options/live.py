@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,7 +16,7 @@ from planner.system.errors import InputFileError, expected
 from ...declare.catalogue import catalogue
 from ...declare.options import Given, setting_options
 from ...live.live_setting import LiveSetting
-from .common import data_option, domain_option, humans_option, together
+from .common import data_option, domain_option, humans_option, new_folder, together
 from .config import ENVIRONMENT, read_config
 from .goals import check_questions, goals_option, several_goals
 from .policies import policies_of, policy_option
@@ -122,7 +121,7 @@ def plan_of(team: LiveOptions) -> ServedTeam:
     _require_known(chosen_tasks, in_turn, tasks)
     in_turn |= chosen_tasks
     return ServedTeam(
-        tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen_policy, setting=chosen,
+        tasks, data or new_folder(), in_turn, policy=chosen_policy, setting=chosen,
         population=setting.population, distance=distance, simulated=simulated,
     )  # fmt: skip
 

@@ -108,7 +108,7 @@ def test_a_policy_of_ones_own_is_simulated_and_bounded_beside_others(own: Path, 
 
 def test_differences_refer_to_any_of_the_policies(own: Path) -> None:
     policies = ("--policy", "none", "--policy", "attention", "--policy", f"{own}:in_turn")
-    options = ("simulate", TINY, "--humans", 2, "--episodes", 30, *policies)
+    options = ("simulate", TINY, "--humans", 2, "--episodes", 8, *policies)
     usual, other = (
         json.loads(invoke(*options, *more, "--json").stdout) for more in ((), ("--baseline", f"{own}:in_turn"))
     )
@@ -149,7 +149,7 @@ def test_faults_of_own_policies_are_said_in_one_line(
         assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", [("simulate",), ("bound", "--value-episodes", 50, "--gap", 0.5)])
+@pytest.mark.parametrize("command", [("simulate",), ("bound", "--value-episodes", 50, "--time-limit", 0.05)])
 def test_a_policy_that_remembers_former_calls_is_refused(own: Path, command: tuple[object, ...]) -> None:
     name, *options = command
     result = invoke(name, TINY, "--humans", 2, "--policy", f"{own}:remembers", *options)
