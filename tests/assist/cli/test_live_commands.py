@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke
+from conftest import DOMAINS, KITTING, invoke
 
 from assist.live.events import Paused
 from assist.live.header import _chances
@@ -221,7 +221,7 @@ def test_options_that_need_another_one_are_accepted_with_it(begun: Begun, tmp_pa
 
 
 def test_people_choose_as_a_function_says_in_a_large_task(begun: Begun, own: Path, tmp_path: Path) -> None:
-    options = (KITTING / "ladder-4x6.pddl", "--humans", 1, "--simulate", 1, "--data", tmp_path / "data")
+    options = (DOMAINS / "lockers" / "two-trays.pddl", "--humans", 1, "--simulate", 1, "--data", tmp_path / "data")
     chooses = ("--set", f"population.chooses={own}:moves")
     session = begun(*options, *chooses)
     task, state = session.place("simulated-1")
