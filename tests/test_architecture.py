@@ -46,9 +46,9 @@ ROOMS = {
         likely_states truncated_task state_cache shared_task closed_problem growing_problem backups
         leaf_estimates compliance_relaxation truncated_bound truncated_policy person_problem""",
     "assist.team": """policy_names by_policy state action_check assignment seen baselines attention attention_never
-        outlook questions robots_at_work parts engine priority whittle rollout policies affordable drawn solving union
-        matching pool schedule common_random_numbers goal_knowledge trace episode episodes trust_of_people model_group
-        beginning task_view requested watcher run traced_run simulate belief_trace illustration""",
+        outlook questions robots_at_work schedule trust_of_people model_group engine priority whittle rollout policies
+        affordable drawn solving union matching pool common_random_numbers goal_knowledge trace episode episodes
+        beginning requested traced_run run simulate belief_trace illustration""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options action_prices envelope priced_steps prices certificate visited_beliefs
         computation truncated_prices sample_paths team_bound relaxed_value comparison""",

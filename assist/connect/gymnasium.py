@@ -24,8 +24,8 @@ from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.ranges import Population
 from ..person.settings import Setting
+from ..team.beginning import World
 from ..team.common_random_numbers import CommonRandomNumbers
-from ..team.model_group import World
 from ..team.pool import Pool
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 from .rendering import EnvironmentPicture

@@ -18,13 +18,12 @@ from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
 from ..people.ranges import Population
 from ..person.pomdp import AssistPOMDP
-from ..person.rows_of_people import RowsOfPeople
 from ..person.settings import Setting
-from ..team.beginning import Beginning, Beginnings
+from ..team.beginning import Beginnings, World
 from ..team.common_random_numbers import CommonRandomNumbers
 from ..team.engine import Engine, PeopleAtWork, StepTaken
 from ..team.goal_knowledge import known_at_first
-from ..team.model_group import ModelGroup, World
+from ..team.model_group import TeamTasks
 from ..team.pool import Pool
 from ..team.robots_at_work import RobotsAtWork
 from ..team.schedule import Schedule
@@ -88,39 +87,15 @@ class PoolSource:
         return True
 
 
-class TasksOfPool(RowsOfPeople):
-    """The tasks of the people of a pool, as `team.engine.Tasks` has them; people may come and go.
-
-    Parameters
-    ----------
-    pool : Pool
-    world : World
-    shape : pair of int
-        N and K.
-    """
-
-    def __init__(self, pool: Pool, world: World, shape: tuple[int, int]) -> None:
-        super().__init__(pool.policies, np.zeros(shape, dtype=np.int64))
-        self._of_people = world == "people"
-        self.groups = {number: ModelGroup(pool, number, world) for number in range(len(pool.policies))}
-        self._first = np.sum([group.row for group in self.groups.values()], axis=0)
-        self.who = np.zeros(shape, dtype=np.int64)
-
-    def begin(self, teams: Ints, people: Ints, began: Beginning) -> None:
-        """Let people begin in some teams, given by their numbers in the pool, shape (m, K)."""
-        self.model[teams] = began.model
-        self.who[teams] = self._first[people] + began.goal if self._of_people else began.type
-
-
 class AllTeams:
     """Random numbers that advance in all teams at a time, whichever of them are at work."""
 
     def __init__(self, draws: CommonRandomNumbers, teams: int) -> None:
         self._draws, self._every = draws, np.arange(teams)
 
-    def draw(self, kind: int, rows: Ints) -> Floats:
+    def draw(self, kind: int, teams: Ints) -> Floats:
         """Return uniform numbers of a kind for some teams, shape (m, K)."""
-        return self._draws.draw(kind, self._every)[rows]
+        return self._draws.draw(kind, self._every)[teams]
 
 
 class Teams:
@@ -130,7 +105,7 @@ class Teams:
     ----------
     engine : Engine
         The teams at work.
-    tasks : TasksOfPool
+    tasks : TeamTasks
         The people's tasks.
     x, finished, theta, people, model : arrays, shape (N, K)
         States and so on, as in `PeopleAtWork`; `people` are indices into the pool.
@@ -153,17 +128,18 @@ class Teams:
     ) -> None:
         pool.setting.require_all_seen("an environment")
         shape = (teams, places)
-        self.pool, self._beginnings, self.tasks = pool, Beginnings(pool, world), TasksOfPool(pool, world, shape)
+        self.pool, self._beginnings = pool, Beginnings(pool, world)
         self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
         self._prior = np.array([policy.pomdp.prior for policy in pool.policies])
-        self.people, self.model = np.zeros(shape, dtype=np.int64), self.tasks.model
-        self.x, row, goal, outcomes = np.zeros((4, *shape), dtype=np.int64)
+        self.people, self.model, who, self.x, row, goal, outcomes = np.zeros((7, *shape), dtype=np.int64)
+        groups = {number: self._beginnings.group(number) for number in range(len(pool.policies))}
+        self.tasks = TeamTasks(pool.policies, groups, self.model, who)
         self.theta, self.finished = np.zeros(shape), np.zeros(shape, dtype=bool)
         self.belief = np.zeros((*shape, *self._prior.shape[1:])) if filters else None
-        presence = Schedule.of(places)
         them = PeopleAtWork(
-            self.people, AllTeams(CommonRandomNumbers(0, np.arange(teams), places), teams), world == "model", self.x,
-            row, goal, self.theta, outcomes, self.finished, presence.joins, presence.leaves,
+            number=self.people, draws=AllTeams(CommonRandomNumbers(0, np.arange(teams), places), teams),
+            on_grid=world == "model", place=self.x, row=row, goal=goal, theta=self.theta, outcomes=outcomes,
+            finished=self.finished, presence=Schedule.of(places),
         )  # fmt: skip
         known, robots = known_at_first(row, self.belief, pool.setting), RobotsAtWork(self.fleet, self.travel, teams)
         self.erred = known.erred.reshape(shape)
@@ -196,7 +172,7 @@ class Teams:
             As in `Beginnings.of`.
         """
         began, them = self._beginnings.of(people, draw), self.engine.people
-        self.tasks.begin(rows, people, began)
+        self.tasks.model[rows], self.tasks.who[rows] = began.model, began.who
         self.people[rows], them.goal[rows], them.theta[rows], them.outcomes[rows] = people, began.goal, began.theta, 0
         self.x[rows], self.finished[rows], self.erred[rows] = began.place, began.finished, False
         if self.belief is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP
 from ..person.random_kinds import Kind
-from .model_group import World
+from .model_group import Ints, ModelGroup
 from .pool import Pool
 
-Ints = NDArray[np.int64]
+World = Literal["people", "model"]
+"""Who acts: the people of a pool as they are, or people of the robot's model of them."""
 
 
 class Beginning(NamedTuple):
@@ -24,8 +25,10 @@ class Beginning(NamedTuple):
     ----------
     model : int array
         Index of each person's policy.
-    type, goal : int arrays
-        Number of the type in the robot's model, 0 for people of the pool; and of the goal.
+    who : int array
+        Row of the person in the `Minds` of their group (`Beginnings.group`). In the robot's model it is their type.
+    goal : int array
+        Number of the goal.
     beta, theta : float arrays
     place : int array
         Where the person is, as in `person.rows`.
@@ -33,7 +36,7 @@ class Beginning(NamedTuple):
     """
 
     model: Ints
-    type: Ints
+    who: Ints
     goal: Ints
     beta: Floats
     theta: Floats
@@ -52,12 +55,25 @@ class Beginnings:
     """
 
     def __init__(self, pool: Pool, world: World) -> None:
-        self._model, self._world, self._pomdps = pool.model, world, [policy.pomdp for policy in pool.policies]
+        self._pool, self._model, self._world = pool, pool.model, world
+        self._pomdps = [policy.pomdp for policy in pool.policies]
         self._beta, self._theta = np.array([[human.beta, human.theta] for human in pool.people]).T
         each = [pool.choices(n) for n in range(len(pool.people))]
         self._finished = np.array([choices.goal[choices.initial] for choices in each])
         self._initial = np.array([policy.problem.task.initial for policy in pool.policies])
         self._goals = [pomdp.hidden.goals for pomdp in self._pomdps]
+        order = np.argsort(pool.model, kind="stable")
+        among = np.empty_like(order)  # the place of each person among those of their model
+        among[order] = np.arange(len(order)) - np.searchsorted(pool.model[order], pool.model[order])
+        self._first = among * len(pool.hidden.goals)
+
+    def group(self, number: int) -> ModelGroup:
+        """Return the people of a model, given by its number, and how they choose."""
+        policy, setting = self._pool.policies[number], self._pool.setting
+        if self._world == "model":
+            return ModelGroup(policy)
+        people = [self._pool.people[i] for i in np.flatnonzero(self._model == number).tolist()]
+        return ModelGroup(policy, people, None if setting.trust in (None, "paper") else setting.trust_rule())
 
     def of(self, people: Ints, draw: Callable[[int], Floats]) -> Beginning:
         """Return how some people begin.
@@ -72,11 +88,11 @@ class Beginnings:
         """
         model = self._model[people]
         if self._world == "model":
-            goal, type_, beta, theta = from_the_prior(self._pomdps, model, draw(Kind.TYPE))
+            goal, who, beta, theta = from_the_prior(self._pomdps, model, draw(Kind.TYPE))
         else:
             goal = drawn_goals(self._goals, model, draw(Kind.GOAL))
-            type_, beta, theta = np.zeros_like(model), self._beta[people], self._theta[people]
-        return Beginning(model, type_, goal, beta, theta, self._initial[model], self._finished[people])
+            who, beta, theta = self._first[people] + goal, self._beta[people], self._theta[people]
+        return Beginning(model, who, goal, beta, theta, self._initial[model], self._finished[people])
 
 
 def from_the_prior(pomdps: Sequence[AssistPOMDP], model: Ints, drawn: Floats) -> tuple[Ints, Ints, Floats, Floats]:

@@ -1,8 +1,8 @@
 """Teams at work, one step at a time, for given actions of their robots.
 
-An `Engine` joins four parts. What each of them holds (`parts` has the forms of the first, and of random numbers):
+An `Engine` joins four parts:
 
-- `Tasks` are the people's problems: the row of each person in theirs, and how people choose there.
+- `TeamTasks` are the people's problems: the row of each person in theirs, and how people choose there.
 - `PeopleAtWork` are the people as they are: states, theta, goals, and the random numbers of all that happens.
 - `RobotsAtWork` are the robots: where they are, and when they arrive.
 - `Beliefs` are what the robots know of the people.
@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,10 @@ from ..person.problem_arrays import Acts
 from ..person.random_kinds import Kind
 from ..person.robots import NOTHING_DONE
 from ..person.rows_of_people import by_model
-from .parts import Draws, Tasks
+from .model_group import TeamTasks
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent
+from .schedule import Schedule
 from .seen import Saw, let_see
 from .state import BASE, TeamAction, TeamState
 
@@ -44,7 +45,15 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-@dataclass(eq=False)
+class Draws(Protocol):
+    """The random numbers of the episodes of teams."""
+
+    def draw(self, kind: int, teams: Ints) -> Floats:
+        """Return uniform numbers of a kind for some teams, shape (m, K); `CommonRandomNumbers.draw` has the kinds."""
+        ...
+
+
+@dataclass(eq=False, kw_only=True)
 class PeopleAtWork:
     """N teams of K people as they are, which robots see in part; the arrays change in place.
 
@@ -63,8 +72,8 @@ class PeopleAtWork:
     outcomes : int array, shape (N, K)
         Number of outcomes of suggestions that the person has seen.
     finished : bool array, shape (N, K)
-    joins, leaves : int arrays, shape (K,)
-        First step of the person at each place, and the step before which they leave.
+    presence : Schedule
+        The steps in which the person at each place is present.
     """
 
     number: Ints
@@ -76,8 +85,7 @@ class PeopleAtWork:
     theta: Floats
     outcomes: Ints
     finished: Bools
-    joins: Ints
-    leaves: Ints
+    presence: Schedule
 
 
 class Now(NamedTuple):
@@ -140,7 +148,7 @@ class Engine:
 
     Parameters
     ----------
-    tasks : Tasks
+    tasks : TeamTasks
     people : PeopleAtWork
     robots : RobotsAtWork
     beliefs : Beliefs
@@ -158,7 +166,7 @@ class Engine:
     """
 
     def __init__(
-        self, tasks: Tasks, people: PeopleAtWork, robots: RobotsAtWork, beliefs: Beliefs,
+        self, tasks: TeamTasks, people: PeopleAtWork, robots: RobotsAtWork, beliefs: Beliefs,
         acted_on: Callable[[Beliefs], Beliefs] | None = None,
     ) -> None:  # fmt: skip
         self.tasks, self.people, self.robots, self.beliefs, self._acted_on = tasks, people, robots, beliefs, acted_on
@@ -174,8 +182,8 @@ class Engine:
         """
         if self._now is None:
             them, clock = self.people, self.clock[:, None]
-            to_come = ~them.finished & (clock < them.leaves) & ~self.over[:, None]
-            active = to_come & (clock >= them.joins)
+            to_come = ~them.finished & (clock < them.presence.leaves) & ~self.over[:, None]
+            active = to_come & (clock >= them.presence.joins)
             flat = np.flatnonzero(active)
             them.row[:] = self.tasks.rows(them.place, flat)
             by_policy = by_model(self.tasks.model.reshape(-1), flat, len(self.tasks.policies))

@@ -1,4 +1,4 @@
-"""The people of one model, as compiled code and the trust rules of their setting see them.
+"""The people of one model, as compiled code and the trust rules of their setting see them, and the tasks of teams.
 
 What a person would choose in a row is computed when somebody is there. In a whole task that is done at the start, for
 all people and rows.
@@ -7,7 +7,8 @@ all people and rows.
 from __future__ import annotations
 
 import threading
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,8 @@ from ..person.people_arrays import Minds, PeopleArrays
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only
-from .pool import Pool
+from ..person.rows_of_people import RowsOfPeople
 from .trust_of_people import TrustOfPeople
-
-World = Literal["people", "model"]
-
 
 Ints = NDArray[np.int64]
 
@@ -37,39 +35,31 @@ class ModelGroup:
 
     Parameters
     ----------
-    pool : Pool
-    number : int
-        Number of the model.
-    world : World
+    policy : Policy
+    people : sequence of Human, optional
+        People of a pool, each with every goal in turn; by default those of the robot's model, one of each type.
+    trust : TrustRule, optional
+        The rule by which theta of these people moves; by default equation (7), which the robot's model has.
 
     Attributes
     ----------
     policy : Policy
-    row : int array, shape (people,)
-        First row of each person of the pool in `minds`, that of the first goal; 0 for people of other models. In the
-        robot's model, the minds are the types.
     """
 
-    def __init__(self, pool: Pool, number: int, world: World) -> None:
-        self.policy: Policy = pool.policies[number]
-        self.row = np.zeros(len(pool.people), dtype=np.int64)
-        own, pomdp = np.flatnonzero(pool.model == number), self.policy.pomdp
-        self._people, self._goals = [pool.people[i] for i in own.tolist()], len(pomdp.hidden.goals)
-        self._minds, self._lock = Minds.of_model(pomdp), threading.Lock()  # the problem defines the trust update
-        self._of_people = world == "people"
-        self._rule: TrustRule | None = None
-        if self._of_people:
-            eta = pomdp.model.eta / pomdp.model.utility_scale
-            if pool.setting.trust not in (None, "paper"):
-                self._rule, eta = pool.setting.trust_rule(), 0.0
-            self.row[own] = np.arange(len(own)) * self._goals
-            goal = read_only(np.tile(np.arange(self._goals), len(own)))
+    def __init__(
+        self, policy: Policy, people: Sequence[Human] | None = None, trust: TrustRule | None = None
+    ) -> None:  # fmt: skip
+        self.policy, self._people, self._rule = policy, people, trust
+        pomdp, self._problem, self._model = policy.pomdp, policy.problem, PersonModel.of(policy)
+        self._goals, self._lock = len(pomdp.hidden.goals), threading.Lock()
+        self._minds = Minds.of_model(pomdp)  # the problem defines the trust update
+        if people is not None:
+            eta = 0.0 if trust is not None else pomdp.model.eta / pomdp.model.utility_scale
+            goal = read_only(np.tile(np.arange(self._goals), len(people)))
             self._minds = self._minds._replace(goal=goal, eta=eta, lapse=0.0, on_grid=False)
         minds = len(self._minds.goal)
         self._stamps, self._value = np.full((minds, 0), -1), np.empty((minds, 0))
         self._p, self._perceived = np.empty((minds, 0, 0)), np.empty((minds, 0, 0))
-        self._model = PersonModel.of(self.policy)
-        self._problem = self.policy.problem
         if len(rows := self._problem.lasting):
             self._reserve(len(rows), self.arrays)
             self._work_out(np.arange(minds), rows, pomdp)
@@ -85,10 +75,6 @@ class ModelGroup:
         if self._model.arrays is not self.arrays:
             self._model = PersonModel.of(self.policy)
         return self._model
-
-    def who(self, people: Ints, goal: Ints, type_: Ints) -> Ints:
-        """Return the row of `Minds` of some people, given by their numbers in the pool, with their goals and types."""
-        return self.row[people] + goal if self._of_people else type_
 
     def ended(self, rows: Ints, people: PeopleArrays) -> NDArray[np.bool_]:
         """Return whether the episode has ended for the people of some rows."""
@@ -122,7 +108,7 @@ class ModelGroup:
             room = max(rows, 2 * self._stamps.shape[1])
             self._stamps = _larger(self._stamps, (minds, room), -1)
             self._p = _larger(self._p, (minds, room, slots), 0.0)
-            if self._of_people:
+            if self._people is not None:
                 self._value = _larger(self._value, (minds, room), 0.0)
                 self._perceived = _larger(self._perceived, (minds, room, slots), np.inf)
             self._minds = self._minds._replace(p=self._p, value=self._value)
@@ -132,7 +118,7 @@ class ModelGroup:
         at = np.ix_(minds, rows)
         self._stamps[at] = self._problem.now.stamps[rows]
         slots = slice(pomdp.chosen.shape[1])
-        if not self._of_people:
+        if self._people is None:
             self._p[:, rows, slots] = np.moveaxis(pomdp.chosen[rows], 2, 0)
             return
         each = _around(pomdp.model.choices, rows).of_each_goal
@@ -171,3 +157,20 @@ def _mind(human: Human, choices: Choices) -> tuple[Floats, Floats, Floats]:
     """Return a person's choice probabilities, shape (n, A), values V(x), shape (n,), and perceived costs, (n, A)."""
     q = perceived_cost(choices, human.expects(choices))
     return chances(human.chooses, choices, q, np.array([human.beta]))[0], value(human.chooses, choices, q), q
+
+
+class TeamTasks(RowsOfPeople):
+    """The tasks of teams: the row of each person in the problem of their policy, and how people choose there.
+
+    Parameters
+    ----------
+    policies : sequence of Policy
+    groups : mapping of int to ModelGroup
+        The people of each policy that occurs, by its index.
+    model, who : int arrays, shape (N, K)
+        Index of each person's policy, and their row in the `Minds` of its group.
+    """
+
+    def __init__(self, policies: Sequence[Policy], groups: Mapping[int, ModelGroup], model: Ints, who: Ints) -> None:
+        super().__init__(policies, model)
+        self.groups, self.who = groups, who

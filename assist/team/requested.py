@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..people.arguments import Seed, entropy, one_of, require_options, whole, wholes
 from ..person.memory_needed import MEMORY_LIMIT_MB, require_room
 from ..person.travel import Travel
+from .beginning import World
 from .common_random_numbers import CommonRandomNumbers
 from .goal_knowledge import GoalKnowledge
-from .model_group import World
 from .pool import Pool
 from .schedule import Schedule
 from .state import TeamPolicy

@@ -26,11 +26,7 @@ from numpy.typing import NDArray
 
 from ..people.arguments import number, whole
 from ..people.decision import NOTHING, Floats
-from ..person.beliefs import PersonModel
-from ..person.dynamics import act
-from ..person.people_arrays import Minds, PeopleArrays
 from ..person.policy import Policy
-from ..person.problem_arrays import ProblemArrays
 from ..person.robots import NOTHING_DONE
 from ..person.rows_of_people import by_model
 from ..person.seen_beliefs import Seen
@@ -39,8 +35,10 @@ from ..person.time_expansion import AWAY, HERE
 from ..person.travel import Travel
 from .by_policy import ByPolicy
 from .engine import Engine, PeopleAtWork
+from .model_group import ModelGroup, TeamTasks
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
+from .schedule import Schedule
 from .seen import Saw
 from .state import BASE, NOBODY, TeamAction, TeamState
 
@@ -89,48 +87,6 @@ class RolloutOptions:
             object.__setattr__(self, name, value)
 
 
-class ModelPeople:
-    """The people of a policy as the robot's model has them, as `engine.Group` has them.
-
-    Parameters
-    ----------
-    policy : Policy
-    """
-
-    def __init__(self, policy: Policy) -> None:
-        self._policy = policy
-        self._known = PersonModel.of(policy), Minds.of_model(policy.pomdp)
-
-    def _so_far(self) -> tuple[PersonModel, Minds]:
-        """Return the model and the choices of each type, on all rows so far."""
-        known = self._known
-        if known[0].arrays is not self._policy.arrays:
-            model = PersonModel.of(self._policy)
-            self._known = known = model, Minds.of_model(model.pomdp)
-        return known
-
-    @property
-    def model(self) -> PersonModel:
-        """The robot's model of them."""
-        return self._so_far()[0]
-
-    @property
-    def arrays(self) -> ProblemArrays:
-        """Their problem."""
-        return self.model.arrays
-
-    def act(self, rows: Ints, people: PeopleArrays) -> None:
-        """Let some people act once."""
-        self._policy.problem.effects(people.x[rows], people.heard[rows])
-        model, minds = self._so_far()
-        act(rows, people, minds, model.arrays)
-
-    def ended(self, rows: Ints, people: PeopleArrays) -> Bools:
-        """Return whether some people have reached their goal."""
-        model, minds = self._so_far()
-        return np.asarray(model.arrays.goal[minds.goal[people.who[rows]], people.x[rows]])
-
-
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """Priority, with the next decision improved by simulation.
@@ -142,14 +98,14 @@ class Rollout:
     near : float
         As in the options, in cost units.
     options : RolloutOptions
-    models : ByPolicy of ModelPeople
+    models : ByPolicy of ModelGroup
         The people of each policy, as the robot's model has them.
     """
 
     base: Priority
     near: float
     options: RolloutOptions
-    models: ByPolicy[ModelPeople]
+    models: ByPolicy[ModelGroup]
     uses_belief, weighs_costs = True, True
 
     @classmethod
@@ -166,7 +122,7 @@ class Rollout:
         """
         options = options or RolloutOptions()
         near = options.near * min(policy.problem.cheapest for policy in policies)
-        return cls(Priority.of(policies, travel), near, options, ByPolicy(policies, ModelPeople))
+        return cls(Priority.of(policies, travel), near, options, ByPolicy(policies, ModelGroup))
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""
@@ -244,29 +200,6 @@ class Rollout:
 _ACTION = ("person", "action")
 
 
-class PathTasks:
-    """The tasks of people of the robot's model, as `engine.Tasks` has them.
-
-    Parameters
-    ----------
-    policies : sequence of Policy
-    models : ByPolicy of ModelPeople
-    model, who : int arrays, shape (N, K)
-        Index of each person's policy, and the number of their type.
-    """
-
-    def __init__(self, policies: Sequence[Policy], models: ByPolicy[ModelPeople], model: Ints, who: Ints) -> None:
-        self.policies, self.model, self.who = policies, model, who
-        self.groups = {number: models[policies[number]] for number in np.unique(model).tolist()}
-
-    def rows(self, places: Ints, active: Ints) -> Ints:
-        """Return the row of each person, shape (N, K); of people who are not active, any row."""
-        found = np.zeros(places.size, dtype=np.int64)
-        for group, flat in by_model(self.model.reshape(-1), active, len(self.policies)):
-            found[flat] = self.policies[group].rows(places.reshape(-1)[flat], self)
-        return found.reshape(places.shape)
-
-
 class PathNumbers:
     """The random numbers of sample paths, which are the same for all pairs of a team and an action."""
 
@@ -274,13 +207,13 @@ class PathNumbers:
         self._rng, self._pairs, self._shape = rng, pairs, shape
         self._drawn = np.empty(0)
 
-    def draw(self, kind: int, rows: Ints) -> Floats:
+    def draw(self, kind: int, teams: Ints) -> Floats:
         """Return uniform numbers for some paths: for choices (1), drawn with those for theta (2), or for others."""
         if kind > 2:
-            return self._rng.random(self._shape)[rows % self._shape[0]]
+            return self._rng.random(self._shape)[teams % self._shape[0]]
         if kind == 1:
             self._drawn = self._rng.random((*self._shape, 2))
-        return self._drawn[rows % len(self._drawn), :, kind - 1]
+        return self._drawn[teams % len(self._drawn), :, kind - 1]
 
 
 class _Paths:
@@ -324,14 +257,15 @@ class _Paths:
         for group, flat in by_model(model.reshape(-1), np.flatnonzero(active), len(team.policies)):
             place.reshape(-1)[flat] = team.policies[group].places(state.reshape(-1)[flat])
         them = PeopleAtWork(
-            mind, PathNumbers(rng, self.pairs, (samples, people)), True, place, state.copy(), np.zeros_like(state),
-            grid.theta[cell], grid.count[cell], ~active, np.zeros(people, dtype=np.int64),
-            np.full(people, np.iinfo(np.int64).max),
+            number=mind, draws=PathNumbers(rng, self.pairs, (samples, people)), on_grid=True, place=place,
+            row=state.copy(), goal=np.zeros_like(state), theta=grid.theta[cell], outcomes=grid.count[cell],
+            finished=~active, presence=Schedule.of(people),
         )  # fmt: skip
+        models = {n: rollout.models[team.policies[n]] for n in np.unique(model).tolist()}
         known = team.beliefs.of((own[:, None] * people + np.arange(people)).reshape(-1))
         robots = RobotsAtWork(team.fleet, team.travel, len(own))
         self.engine = Engine(
-            PathTasks(team.policies, rollout.models, model, mind), them, robots,
+            TeamTasks(team.policies, models, model, mind), them, robots,
             Seen(them.row.reshape(-1), known.belief, known.erred, known.neighbours.believed),
         )  # fmt: skip
         # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.

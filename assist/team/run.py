@@ -18,14 +18,13 @@ from .common_random_numbers import CommonRandomNumbers
 from .engine import Engine, PeopleAtWork, StepTaken
 from .episodes import Episodes
 from .goal_knowledge import acted_on, first_beliefs, known_at_first
-from .model_group import ModelGroup
+from .model_group import ModelGroup, TeamTasks
 from .pool import Pool
 from .questions import Questions
 from .requested import Requested
 from .robots_at_work import RobotsAtWork
 from .state import NOBODY, TeamAction, TeamPolicy
-from .task_view import TaskView
-from .watcher import Watcher
+from .traced_run import Tracer
 
 Ints = NDArray[np.int64]
 
@@ -62,6 +61,8 @@ class Simulation:
     policy : TeamPolicy
     wanted : Requested
         The episodes, and the conditions under which they are simulated.
+    beginnings : Beginnings
+        How people begin.
     groups : mapping of int to ModelGroup
         The people of each policy that occurs.
     questions : Questions or None
@@ -73,18 +74,19 @@ class Simulation:
     pool: Pool
     policy: TeamPolicy
     wanted: Requested
+    beginnings: Beginnings
     groups: Mapping[int, ModelGroup]
     questions: Questions | None
     over: Event
 
-    def chunk(self, rows: slice, watcher: Watcher | None = None, *, keeps_beliefs: bool = False) -> Episodes:
+    def chunk(self, rows: slice, tracer: Tracer | None = None, *, keeps_beliefs: bool = False) -> Episodes:
         """Simulate some episodes until all people have finished or the limit is reached; return the records.
 
         Parameters
         ----------
         rows : slice
             Which of the requested episodes.
-        watcher : Watcher, optional
+        tracer : Tracer, optional
         keeps_beliefs : bool
             Whether beliefs are kept for policies, too, that do not use them.
         """
@@ -93,7 +95,7 @@ class Simulation:
         # It is in C order, and all arrays derived from it are, too. They are changed in place through flat views.
         people = np.ascontiguousarray(draws.team(len(pool.people)) if wanted.teams is None else wanted.teams[rows])
         every = np.arange(len(numbers))
-        began = Beginnings(pool, wanted.world).of(people, lambda kind: draws.draw(kind, every))
+        began = self.beginnings.of(people, lambda kind: draws.draw(kind, every))
         uses_beliefs = getattr(self.policy, "uses_belief", True)
         engine = self.begin(people, began, draws, beliefs=uses_beliefs or keeps_beliefs)
         first_theta, tally = engine.people.theta.copy(), Tally(people.shape, pool.setting.gamma)
@@ -104,14 +106,14 @@ class Simulation:
             if questions is not None:
                 asked = engine.ask(questions)
                 tally.questions[[one.team for one, _ in asked]] += 1
-                if watcher is not None:
-                    watcher.asked(engine, asked)
+                if tracer is not None:
+                    tracer.asked(engine, asked)
             teams_now = engine.deciding()
-            action = self._decided(engine, teams_now, watcher) if len(teams_now) else nothing(engine, teams_now)
+            action = self._decided(engine, teams_now, tracer) if len(teams_now) else nothing(engine, teams_now)
             taken = engine.step(action, teams_now)
             tally.add(step, taken)
-            if watcher is not None:
-                watcher.took(engine, taken)
+            if tracer is not None:
+                tracer.took(engine, taken)
         finished = engine.people.finished
         return Episodes(
             policy=wanted.name, episode=numbers, people=people, names=pool.names, beta=began.beta, theta=first_theta,
@@ -138,11 +140,11 @@ class Simulation:
             Whether the robot keeps beliefs.
         """
         pool, wanted, place = self.pool, self.wanted, began.place.copy()
-        tasks = TaskView(pool.policies, self.groups, people, began)
+        tasks = TeamTasks(pool.policies, self.groups, began.model, began.who)
         row = np.ascontiguousarray(tasks.rows(place, np.arange(place.size)))
         them = PeopleAtWork(
-            people, draws, wanted.world == "model", place, row, began.goal, began.theta, np.zeros_like(place),
-            began.finished, wanted.presence.joins, wanted.presence.leaves,
+            number=people, draws=draws, on_grid=wanted.world == "model", place=place, row=row, goal=began.goal,
+            theta=began.theta, outcomes=np.zeros_like(place), finished=began.finished, presence=wanted.presence,
         )  # fmt: skip
         hidden, knowledge = pool.hidden, wanted.goals
         prior: Floats | None = None
@@ -153,7 +155,7 @@ class Simulation:
         robots = RobotsAtWork(pool.setting.fleet, wanted.travel, len(people))
         return Engine(tasks, them, robots, known, partial(acted_on, hidden=hidden, knowledge=knowledge))
 
-    def _decided(self, engine: Engine, teams: Ints, watcher: Watcher | None) -> TeamAction:
+    def _decided(self, engine: Engine, teams: Ints, tracer: Tracer | None) -> TeamAction:
         """Return what the policy does with the robots of some teams."""
         team = engine.state(teams)
         action = self.policy(team)
@@ -161,8 +163,8 @@ class Simulation:
             check(team, action)
         except UserCodeError as error:
             raise UserCodeError(f"{getattr(self.policy, 'place', self.wanted.name)}: {error}") from None
-        if watcher is not None:
-            watcher.decided(engine, team, action, teams)
+        if tracer is not None:
+            tracer.decided(engine, team, action, teams)
         return action
 
 

@@ -25,9 +25,9 @@ from planner.system.threads import on_threads
 
 from ..people.arguments import Seed, whole
 from .attention import AttentionSwitching
+from .beginning import Beginnings
 from .common_random_numbers import BLOCK
 from .episodes import Episodes, with_cost
-from .model_group import ModelGroup
 from .policies import prepare
 from .pool import Pool, require_pool
 from .questions import Questions
@@ -93,13 +93,15 @@ def simulate(
     policy = pool.policy(policy, wanted.travel) if isinstance(policy, str) else policy
     explained = trace is not None and reasons is not None
     models = np.unique(pool.model[wanted.people(pool)]).tolist()
-    groups = {model: ModelGroup(pool, model, wanted.world) for model in models}
+    beginnings = Beginnings(pool, wanted.world)
+    groups = {model: beginnings.group(model) for model in models}
     if explained or hasattr(policy, "prepare"):
         needed = [pool.policies[model] for model in models]
         if explained:  # reasons compare the values of what the robot can do
             prepare(AttentionSwitching(), needed, progress=partial(progress, SOLVING), jobs=jobs)
         prepare(policy, needed, progress=partial(progress, SOLVING), jobs=jobs)
-    simulation = Simulation(pool, policy, wanted, groups, Questions.of(pool.policies, pool.setting), Event())
+    questions = Questions.of(pool.policies, pool.setting)
+    simulation = Simulation(pool, policy, wanted, beginnings, groups, questions, Event())
 
     def run(rows: slice) -> tuple[Episodes, list[Trace]]:
         if trace is None:

@@ -19,7 +19,7 @@ from .trace import Reasons, Trace
 
 
 class Tracer:
-    """Writes down the steps of a chunk of episodes.
+    """Sees the steps of a chunk of episodes, and writes them down.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Tracer:
         self.traces, self.said = [Trace() for _ in numbers], dict[tuple[int, int], dict[str, Any]]()
 
     def decided(self, engine: Engine, team: TeamState, action: TeamAction, teams: NDArray[np.int64]) -> None:
-        """Keep the reason of each suggestion for the record of the person who gets it."""
+        """Keep the reason of each suggestion for the record of the person who gets it, before the step is taken."""
         if self.reasons is None:
             return
         for row, number in np.argwhere(action.action > 0).tolist():
