@@ -45,10 +45,10 @@ ROOMS = {
         further_beliefs solver time_expansion subproblem_frontier attention_subproblem frontier_bounds
         likely_states truncated_task state_cache shared_task closed_problem growing_problem backups
         leaf_estimates compliance_relaxation truncated_bound truncated_policy person_problem""",
-    "assist.team": """policy_names by_policy state action_check assignment seen baselines attention attention_never
-        outlook questions robots_at_work schedule trust_of_people model_group engine priority whittle rollout policies
-        affordable drawn solving union matching pool common_random_numbers goal_knowledge trace episode episodes
-        beginning requested traced_run run simulate belief_trace illustration""",
+    "assist.team": """policy_names by_policy state action_check assignment schedule people_at_work seen baselines
+        attention attention_never outlook questions robots_at_work trust_of_people model_group engine priority whittle
+        rollout policies affordable drawn solving union matching pool common_random_numbers goal_knowledge trace
+        episodes beginning requested traced_run run simulate belief_trace illustration""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options action_prices envelope priced_steps prices certificate visited_beliefs
         computation truncated_prices sample_paths team_bound relaxed_value comparison""",

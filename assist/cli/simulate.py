@@ -78,7 +78,6 @@ def simulate(
     from ..drawing.plots.episode import episode_figure
     from ..live.trace_reasons import TraceReasons
     from ..studies.reports.compared_policies import comparison_of
-    from ..team.episode import plain_summary
     from ..team.episodes import Episodes
     from ..team.illustration import Illustration
     from ..team.policies import UserPolicy
@@ -139,7 +138,7 @@ def simulate(
             "pool": size, "drawn": drawn, "episodes": episodes, "seed": seed,
             "setting": plain(made.pool.setting), "population": plain(made.population),
             **({"goals": dict(goals.prior), "goal_knowledge": setting.goal_knowledge} if goals else {}),
-            "baseline": base, "policies": [plain_summary(one.summary) | _difference(one) for one in compared],
+            "baseline": base, "policies": [one.summary.record() | _difference(one) for one in compared],
             "versions": versions(),
         })  # fmt: skip
     else:
@@ -148,7 +147,7 @@ def simulate(
 
 def _difference(one: ComparedPolicy) -> dict[str, Any]:
     """Return a policy's differences to the baseline as plain data, named as its means."""
-    from ..team.episode import SHOWN
+    from ..team.episodes import SHOWN
 
     found = one.differences
     return {"differences": found and {SHOWN[name]: estimate.record() for name, estimate in found.items()}}

@@ -21,9 +21,10 @@ from ..person.pomdp import AssistPOMDP
 from ..person.settings import Setting
 from ..team.beginning import Beginnings, World
 from ..team.common_random_numbers import CommonRandomNumbers
-from ..team.engine import Engine, PeopleAtWork, StepTaken
+from ..team.engine import Engine, StepTaken
 from ..team.goal_knowledge import known_at_first
 from ..team.model_group import TeamTasks
+from ..team.people_at_work import PeopleAtWork
 from ..team.pool import Pool
 from ..team.robots_at_work import RobotsAtWork
 from ..team.schedule import Schedule

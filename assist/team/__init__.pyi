@@ -3,7 +3,7 @@ from .attention import AttentionSwitching as AttentionSwitching
 from .baselines import NoAssistance as NoAssistance
 from .baselines import Reactive as Reactive
 from .belief_trace import beliefs_of_episode as beliefs_of_episode
-from .episode import Episode as Episode
+from .episodes import Episode as Episode
 from .episodes import Episodes as Episodes
 from .episodes import Summary as Summary
 from .illustration import Illustration as Illustration

@@ -12,7 +12,7 @@ from ..people.arguments import Seed
 from ..people.decision import Floats
 from ..people.spread import Spread
 from ..person.policy import Policy
-from .episode import Episode
+from .episodes import Episode
 from .pool import Pool
 from .requested import Conditions
 from .simulate import simulate

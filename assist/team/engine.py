@@ -21,8 +21,7 @@ A step has this order:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,57 +34,14 @@ from ..person.random_kinds import Kind
 from ..person.robots import NOTHING_DONE
 from ..person.rows_of_people import by_model
 from .model_group import TeamTasks
+from .people_at_work import PeopleAtWork
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent
-from .schedule import Schedule
 from .seen import Saw, let_see
 from .state import BASE, TeamAction, TeamState
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-
-
-class Draws(Protocol):
-    """The random numbers of the episodes of teams."""
-
-    def draw(self, kind: int, teams: Ints) -> Floats:
-        """Return uniform numbers of a kind for some teams, shape (m, K); `CommonRandomNumbers.draw` has the kinds."""
-        ...
-
-
-@dataclass(eq=False, kw_only=True)
-class PeopleAtWork:
-    """N teams of K people as they are, which robots see in part; the arrays change in place.
-
-    Attributes
-    ----------
-    number : int array, shape (N, K)
-        Which person of a pool each of them is.
-    draws : Draws
-    on_grid : bool
-        Whether they are people of the robot's model, whose theta moves between grid points at random.
-    place, row : int arrays, shape (N, K)
-        Where each person is, and the row of this place in the present step (`person.rows`).
-    goal : int array, shape (N, K)
-        Number of the goal that each person pursues.
-    theta : float array, shape (N, K)
-    outcomes : int array, shape (N, K)
-        Number of outcomes of suggestions that the person has seen.
-    finished : bool array, shape (N, K)
-    presence : Schedule
-        The steps in which the person at each place is present.
-    """
-
-    number: Ints
-    draws: Draws
-    on_grid: bool
-    place: Ints
-    row: Ints
-    goal: Ints
-    theta: Floats
-    outcomes: Ints
-    finished: Bools
-    presence: Schedule
 
 
 class Now(NamedTuple):

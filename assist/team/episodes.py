@@ -1,22 +1,80 @@
-"""Records of simulated episodes, and their means."""
+"""Records of simulated episodes, their means, and both as plain data."""
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.system.errors import MissingExtraError
 from planner.system.results import Result
 
 from ..people.decision import Floats
 from ..person.fleet import Fleet
 from ..person.policy import not_worth_its_cost
-from .episode import Episode, episode_of, to_frame
 from .state import TeamPolicy
+
+SHOWN = {
+    "actions": "human_actions_per_person",
+    "costs": "cost_per_person",
+    "interventions": "interventions",
+    "moves": "moves",
+    "discounted_return": "return",
+}
+"""Summarised fields, with their names in records."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """The record of one episode.
+
+    Attributes
+    ----------
+    policy : str
+    episode : int
+    people : tuple of str
+        Names of the team's people; the next tuples have one entry per person.
+    beta, theta, sigma : tuple of float
+        True parameters; theta is that at the beginning.
+    actions : tuple of int
+        Number of actions until the goal or the end of the episode.
+    costs : tuple of float
+        Costs of these actions, in cost units.
+    finished : tuple of bool
+    helped : tuple of int
+        Number of suggestions to each person and of actions executed for them.
+    executed : tuple of int
+        Number of these that are executions.
+    interventions, moves, steps : int
+        Number of suggestions and executions, of changes of place, and of steps until all had finished.
+    discounted_return : float
+        Sum over steps of gamma^t times the reward, in cost units.
+    """
+
+    policy: str
+    episode: int
+    people: tuple[str, ...]
+    beta: tuple[float, ...]
+    theta: tuple[float, ...]
+    sigma: tuple[float, ...]
+    actions: tuple[int, ...]
+    costs: tuple[float, ...]
+    finished: tuple[bool, ...]
+    helped: tuple[int, ...]
+    executed: tuple[int, ...]
+    interventions: int
+    moves: int
+    steps: int
+    discounted_return: float
+
+    def record(self) -> dict[str, Any]:
+        """Return the fields as plain data."""
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,13 +176,30 @@ class Episodes(Result):
         MissingExtraError
             pandas is not installed.
         """
-        return to_frame(self)
+        if importlib.util.find_spec("pandas") is None:
+            raise MissingExtraError("a data frame needs", "pandas", "study")
+        import pandas as pd
+
+        number, people = self.people.shape
+        own = ("beta", "theta", "sigma", "actions", "costs", "finished", "helped", "executed")
+        whole = ("interventions", "moves", "steps", "discounted_return")
+        found = {
+            "policy": self.policy,
+            "episode": self.episode.repeat(people),
+            "person": [self.names[one] for one in self.people.ravel().tolist()],
+            **{name: getattr(self, name).ravel() for name in own},
+            **{name: getattr(self, name).repeat(people) for name in whole},
+        }
+        return pd.DataFrame(found, index=range(number * people)).rename(columns={"costs": "cost"})
 
     def __len__(self) -> int:
         return len(self.episode)
 
     def __getitem__(self, row: int) -> Episode:
-        return episode_of(self, row)
+        names = [field.name for field in fields(Episode) if field.name not in ("policy", "people")]
+        own: dict[str, Any] = {name: getattr(self, name)[row].tolist() for name in names}
+        own = {name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
+        return Episode(self.policy, people=tuple(self.names[number] for number in self.people[row]), **own)
 
     def __iter__(self) -> Iterator[Episode]:
         return (self[row] for row in range(len(self)))
@@ -174,6 +249,15 @@ class Summary(Result):
             for mean, error in [getattr(self, name)]
         }
         return [{"policy": self.policy, "episodes": self.episodes, **means, "cut_off": self.cut_off}]
+
+    def record(self) -> dict[str, Any]:
+        """Return the summary as plain data; an unknown standard error is None."""
+        record: dict[str, Any] = {"policy": self.policy, "episodes": self.episodes}
+        for name, label in {**SHOWN, "suggestions": "suggestions", "executions": "executions"}.items():
+            mean, error = getattr(self, name)
+            record[label] = {"mean": mean, "stderr": None if math.isnan(error) else error}
+        more = {name: getattr(self, name) for name in ("pruned", "questions") if getattr(self, name) is not None}
+        return {**record, "cut_off": self.cut_off, "c_suggest_too_high": self.c_suggest_too_high, **more}
 
     def __str__(self) -> str:
         shown = [

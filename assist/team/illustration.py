@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..person.travel import Travel
-from .episode import Episode
-from .episodes import Episodes
+from .episodes import Episode, Episodes
 from .goal_knowledge import GoalKnowledge
 from .pool import Pool
 from .simulate import simulate

@@ -34,8 +34,9 @@ from ..person.ties import NEAR, first_best, ranked
 from ..person.time_expansion import AWAY, HERE
 from ..person.travel import Travel
 from .by_policy import ByPolicy
-from .engine import Engine, PeopleAtWork
+from .engine import Engine
 from .model_group import ModelGroup, TeamTasks
+from .people_at_work import PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
 from .schedule import Schedule

@@ -15,10 +15,11 @@ from ..people.user_code import UserCodeError
 from .action_check import check
 from .beginning import Beginning, Beginnings
 from .common_random_numbers import CommonRandomNumbers
-from .engine import Engine, PeopleAtWork, StepTaken
+from .engine import Engine, StepTaken
 from .episodes import Episodes
 from .goal_knowledge import acted_on, first_beliefs, known_at_first
 from .model_group import ModelGroup, TeamTasks
+from .people_at_work import PeopleAtWork
 from .pool import Pool
 from .questions import Questions
 from .requested import Requested

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +14,9 @@ from ..person.beliefs import Beliefs, PersonModel
 from ..person.policy import Policy
 from ..person.problem_arrays import Acts
 from ..person.random_kinds import Kind
+from .people_at_work import PeopleAtWork
 
 Ints = NDArray[np.int64]
-
-
-class Watching(Protocol):
-    """People of N teams who may see each other helped; attributes as in `engine.PeopleAtWork`."""
-
-    on_grid: bool
-    theta: Floats
-    outcomes: Ints
 
 
 class Saw(NamedTuple):
@@ -34,7 +27,7 @@ class Saw(NamedTuple):
 
 
 def let_see(
-    them: Watching, beliefs: Beliefs, acts: Acts, after: Ints, models: Iterable[tuple[PersonModel, Ints]],
+    them: PeopleAtWork, beliefs: Beliefs, acts: Acts, after: Ints, models: Iterable[tuple[PersonModel, Ints]],
     draw: Callable[[int], Floats],
 ) -> Saw:  # fmt: skip
     """Move theta of the people at work who have seen a neighbour helped, and what the robots believe of it.
@@ -43,7 +36,7 @@ def let_see(
 
     Parameters
     ----------
-    them : Watching
+    them : PeopleAtWork
         N teams of K people, after they have acted.
     beliefs : Beliefs
     acts : Acts

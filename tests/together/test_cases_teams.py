@@ -32,7 +32,6 @@ from assist.studies.protocol import read
 from assist.studies.reports import study_report
 from assist.studies.reports.study_report import write_report
 from assist.studies.runner import load_study, run_study
-from assist.team.episode import plain_summary
 from assist.team.policies import UserPolicy
 from assist.team.state import TeamAction, TeamState
 from planner import Table
@@ -78,7 +77,7 @@ def test_a_policy_that_weighs_costs_says_that_none_was_worth_it(policy: str, tin
     assert len(solved) <= len(pool.people)
     summary = found.summary()
     assert str(summary).endswith("; no suggestion was worth its cost (c_suggest 40)")
-    assert plain_summary(summary)["c_suggest_too_high"] == 40.0
+    assert summary.record()["c_suggest_too_high"] == 40.0
     speaks = simulate(pool_at(tiny, 0.05), policy, humans=2, episodes=20, seed=3)
     assert speaks.c_suggest_too_high is None
     assert "worth" not in str(speaks.summary())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...team.episode import Episode
+from ...team.episodes import Episode
 from .panels_by_name import named_rows
 from .style import BLUE, GREEN, ORANGE, entry, ink, legend_below, robot_entry, styled, whole_numbers
 

@@ -6,7 +6,7 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 from ...people.neighbourhood import NOBODY_SEES, Neighbourhood
-from ...team.episode import Episode
+from ...team.episodes import Episode
 from ...team.trace import Trace
 from .style import (
     BLUE,

@@ -16,8 +16,7 @@ from planner.system.results import Result, html_table
 from ...learning.intervals import IntervalEstimate
 from ...people.decision import Floats
 from ...person.policy import not_worth_its_cost
-from ...team.episode import SHOWN
-from ...team.episodes import Episodes, Summary
+from ...team.episodes import SHOWN, Episodes, Summary
 from .. import statistics
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from ...people.choices import Choices
 from ...people.decision import Floats
 from ...team.attention import AttentionSwitching
 from ...team.belief_trace import Watched
-from ...team.episode import Episode
+from ...team.episodes import Episode
 from ...team.policies import by_name
 from ...team.pool import Pool, require_pool
 from ...team.simulate import simulate

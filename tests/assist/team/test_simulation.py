@@ -33,7 +33,6 @@ from assist.person.travel import Travel
 from assist.team.attention import AttentionSwitching
 from assist.team.baselines import NoAssistance
 from assist.team.common_random_numbers import BLOCK
-from assist.team.episode import plain_summary
 from assist.team.episodes import Episodes
 from assist.team.illustration import typical
 from assist.team.policy_names import POLICIES
@@ -396,7 +395,7 @@ def test_execution_by_the_robot(tiny_choices: Choices) -> None:
     done = sum(row["executed"] is not None for row in trace)
     said = sum(row["suggestion"] is not None for row in trace)
     assert (episodes.executed.sum(), episodes.helped.sum()) == (done, done + said)
-    summary = plain_summary(episodes.summary())
+    summary = episodes.summary().record()
     assert summary["executions"]["mean"] * 50 == pytest.approx(done)
     assert summary["suggestions"]["mean"] + summary["executions"]["mean"] == summary["interventions"]["mean"]
     assert done > 0
