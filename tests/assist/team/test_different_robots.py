@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import pytest
-from conftest import graph_task, invoke
+from conftest import graph_task, invoke, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field
@@ -175,7 +175,7 @@ def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.n
 
 
 @pytest.mark.parametrize("name", [name for name in POLICIES if name != "none"])
-@pytest.mark.parametrize("travel_time", [0.0, 1.0])
+@pytest.mark.parametrize("travel_time", thinned([0.0, 1.0]))
 def test_a_robot_that_may_not_execute_never_does(name: str, travel_time: float) -> None:
     robots = (Robot(c_suggest=0.3), Robot(execute=True, c_execute=0.1), Robot(c_move=0.0))
     pool = people(robots, travel_time=travel_time)

@@ -53,11 +53,14 @@ def run(pool: Pool, policy: str, humans: int = 3, episodes: int = 50, **options:
     return simulate(pool, policy, humans=humans, episodes=episodes, seed=3, **options)
 
 
+DEAR = ("rollout", "whittle")
+"""To try out ways of the one, and to price those of the other, takes a second and more."""
+
+
 @pytest.mark.parametrize(
     ("name", "travel_time", "distance"),
     [
-        # To price the ways of `whittle` and to try out those of `rollout` takes a second and more.
-        pytest.param(name, time, distance, marks=[pytest.mark.slow] * (name in ("rollout", "whittle") and time > 0))
+        pytest.param(name, time, distance, marks=[pytest.mark.slow] * (time > 0 and (time == 1 or name in DEAR)))
         for name in POLICIES
         for time, distance in ((0, None), (1, None), (0.7, FAR))
     ],

@@ -47,7 +47,7 @@ from planner import LimitError, Table
 @pytest.mark.parametrize("name", POLICIES)
 def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
     trace: Trace = []
-    episodes = run(pool, name, 3, 20, 1, trace=trace)
+    episodes = run(pool, name, 3, 8, 1, trace=trace)
     for episode in episodes:
         rows = [row for row in trace if row["episode"] == f"{name}-{episode.episode}"]
         discounted = sum(pool.setting.gamma ** row["step"] * row["reward"] for row in rows)
@@ -151,11 +151,11 @@ def test_traced_actions_are_possible_in_the_task(tiny: Table, pool: Pool) -> Non
 
 def test_episodes_do_not_depend_on_how_they_are_divided(pool: Pool) -> None:
     attention = pool.policy("attention")
-    numbers = [0, 3, BLOCK - 1, BLOCK, 5 * BLOCK + 2]
-    together = simulate(pool, attention, humans=3, episodes=6 * BLOCK, seed=7)
+    numbers = [0, 3, BLOCK - 1, BLOCK, 2 * BLOCK + 2]
+    together = simulate(pool, attention, humans=3, episodes=3 * BLOCK, seed=7)
     apart = [simulate(pool, attention, humans=3, episodes=[n], seed=7)[0] for n in numbers]
     assert [together[n] for n in numbers] == apart
-    assert [together[n] for n in numbers] != [run(pool, "attention", 3, 6 * BLOCK, 8)[n] for n in numbers]
+    assert [together[n] for n in numbers] != [run(pool, "attention", 3, 3 * BLOCK, 8)[n] for n in numbers]
 
 
 def test_episodes_do_not_depend_on_the_number_of_processes(pool: Pool) -> None:
@@ -170,7 +170,7 @@ def test_episodes_do_not_depend_on_the_number_of_processes(pool: Pool) -> None:
 
 
 def test_policies_meet_the_same_people(pool: Pool) -> None:
-    for episodes in zip(*(run(pool, name, 3, 10, 5) for name in POLICIES), strict=True):
+    for episodes in zip(*(run(pool, name, 3, 4, 5) for name in POLICIES), strict=True):
         assert len({episode.people for episode in episodes}) == 1
         assert len(set(episodes[0].people)) == 3
 
@@ -180,14 +180,14 @@ def test_unaided_people_choose_as_the_model_says(tiny_choices: Choices) -> None:
     population = Population(beta=(1.0, 1.0), theta=(0.6, 0.6), sigma=(1.0, 1.0))
     pool = Pool.sample(tiny_choices, 1, seed=9, population=population)
     trace: Trace = []
-    simulate(pool, NoAssistance(), humans=1, episodes=4000, seed=0, trace=trace)
+    simulate(pool, NoAssistance(), humans=1, episodes=1000, seed=0, trace=trace)
     first = [row["action"] for row in trace if row["step"] == 0]
     human, start = pool.people[0], tiny_choices.initial
     for slot in np.flatnonzero(tiny_choices.applicable[start]):
         q = tiny_choices.costs[start] + human.h[tiny_choices.targets[start]]
         p = choice(np.where(tiny_choices.applicable[start], q, np.inf), tiny_choices.applicable[start], 1.0)[slot]
         share = np.mean([action == tiny_choices.name(start, int(slot)) for action in first])
-        assert abs(share - p) < 4 * np.sqrt(p * (1 - p) / 4000)
+        assert abs(share - p) < 4 * np.sqrt(p * (1 - p) / 1000)
 
 
 def test_episodes_are_cut_off(tiny_choices: Choices) -> None:

@@ -237,13 +237,13 @@ def test_policies_are_below_the_bound(seed: int, name: str) -> None:
 
 
 def test_a_given_bound_is_for_the_same_units_of_the_resource() -> None:
-    agents = problem(0, 3)
+    agents = problem(3, 2)
     solved = bound(agents, 1)
-    assert joint_optimum(agents, 3) > solved.upper
-    with pytest.raises(ValueError, match="resources 3: expected 1, as the given bound is for"):
-        sampled_bound(agents, 3, prices=solved)
-    with pytest.raises(ValueError, match="resources 3: expected 1, as the given bound is for"):
-        certify(agents, "prices", 3, solved=solved)
+    assert joint_optimum(agents, 2) > solved.upper
+    with pytest.raises(ValueError, match="resources 2: expected 1, as the given bound is for"):
+        sampled_bound(agents, 2, prices=solved)
+    with pytest.raises(ValueError, match="resources 2: expected 1, as the given bound is for"):
+        certify(agents, "prices", 2, solved=solved)
 
 
 def test_a_policy_without_value_has_no_finite_gap() -> None:
