@@ -38,7 +38,7 @@ class Certificate(Result):
         100 (upper - value) / abs(value). It is negative where the mean is above the bound by chance.
     slack_percent : float
         Largest number of these percentage points by which a complete solution of the single people's problems could
-        lower the bound.
+        lower the bound: not by more than the gap, as no bound is below the policy's value.
     episodes : int
         Number of simulated episodes.
     """
@@ -70,14 +70,15 @@ class Certificate(Result):
     def of(cls, name: str, returns: Floats, *, humans: int, upper: float, slack: float) -> Certificate:
         """Return the certificate for the returns of some episodes, shape (N,), with a bound and its slack."""
         mean = float(returns.mean())
+        gap = 100 * (upper - mean) / abs(mean) if mean else 0.0
         return cls(
             humans=humans,
             policy=name,
             value=mean,
             value_stderr=float(returns.std(ddof=1) / math.sqrt(len(returns))),
             upper=upper,
-            gap_percent=100 * (upper - mean) / abs(mean) if mean else 0.0,
-            slack_percent=100 * slack / abs(mean) if mean else 0.0,
+            gap_percent=gap,
+            slack_percent=min(100 * slack / abs(mean), max(gap, 0.0)) if mean else 0.0,
             episodes=len(returns),
         )
 

@@ -58,7 +58,7 @@ def bound(
         goals = team.goals()
         made = team_of(team, team.humans, goals)
         try:
-            with stages() as show:
+            with stages(within=time_limit) as show:
                 ready = {name: made.prepared(one) for name, one in policies.items()}
                 compared = Comparison.of(
                     made.pool, ready, progress=show,
@@ -94,9 +94,11 @@ def bound(
         })  # fmt: skip
         return
     print_table(("policy", "value", "upper bound", "gap at most"), map(_cells, certificates))
+    fewer = "" if best.episodes >= value_episodes else f" of {value_episodes}, as the time was up,"
     click.echo(
-        f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; solving each person's "
-        f"problem exactly would lower the gap by at most {best.slack_percent:.2f} percentage points"
+        f"mean ± standard error over {best.episodes} episodes{fewer} with people drawn from the robot's prior, so that "
+        f"values differ from those of `simulate`; gaps in percent of the value; solving each person's problem exactly "
+        f"would lower the gap by at most {best.slack_percent:.2f} percentage points"
     )
     for c in certificates:
         if c.gap_percent < 0 and not c.within_error:
@@ -118,8 +120,9 @@ def _show_first(certificates: list[Certificate]) -> None:
     """Print certificates with a looser bound on stderr, as the others may take minutes."""
     for c in certificates:
         click.echo(
-            f"first, {c.policy}: value {c.value:.3f} ± {c.value_stderr:.3f}, upper bound {c.upper:.3f} with free "
-            f"attention and what is hidden known: gap at most {c.gap_percent:.2f} %", err=True,
+            f"a first answer, {c.policy}: value {c.value:.3f} ± {c.value_stderr:.3f}, upper bound {c.upper:.3f} with "
+            f"free attention and what is hidden known: gap at most {c.gap_percent:.2f} %; a tighter bound follows",
+            err=True,
         )  # fmt: skip
 
 

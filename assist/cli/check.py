@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from planner.system.progress import stages
+
 from .options.common import json_option
 from .options.help import command
 from .terminal.console import ExitCode, fail, print_json
@@ -26,7 +28,8 @@ def check(code: str, kind: str | None, as_json: bool) -> None:
     from ..studies.own_code import check as tried
 
     try:
-        found = tried(code, kind)  # type: ignore[arg-type]
+        with stages() as show:
+            found = tried(code, kind, progress=show)  # type: ignore[arg-type]
     except UserCodeError as error:
         fail(str(error), ExitCode.FAILED)
     if as_json:

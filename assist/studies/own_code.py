@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from planner.system.progress import Wanted, adding, shows_progress
+
 from ..people.arguments import one_of
 from ..people.terms import Situation
 from ..people.user_code import UserCodeError, described, object_of, parse
@@ -73,7 +75,8 @@ class Checked:
     __repr__ = __str__
 
 
-def check(code: Any, kind: Kind | None = None) -> Checked:
+@shows_progress
+def check(code: Any, kind: Kind | None = None, *, progress: Wanted = None) -> Checked:
     """Try a policy, choice model, trust rule or term of one's own, and return what is wrong with it.
 
     Parameters
@@ -84,6 +87,8 @@ def check(code: Any, kind: Kind | None = None) -> Checked:
         What it is: a team policy, a choice model of people, a trust rule or a term of a choice. Unless given, it is a
         rule if it has a method `update`, a choice model if it takes three arguments, a term if its argument is
         annotated as a `Situation`, and else a policy.
+    progress : callable or bool, optional
+        Receives progress reports, as `planner.system.progress` describes: the number of situations that were tried.
 
     Raises
     ------
@@ -96,13 +101,16 @@ def check(code: Any, kind: Kind | None = None) -> Checked:
     if kind is not None:
         one_of("kind", kind, get_args(Kind))
     kind = kind or kind_of(code)
-    found = []
-    for what, run in TRIALS[kind](code, file):
+    assert callable(progress)
+    found, trials = list[Trial](), list(TRIALS[kind](code, file))
+    advance = adding(progress, "trying situations", len(trials))
+    for what, run in trials:
         try:
             fault = run()
         except (Exception, SystemExit) as error:  # noqa: BLE001 it is the user's, and is told
             fault = _told(error, file)
         found.append(Trial(what, fault))
+        advance(1)
     return Checked(name, kind, tuple(found))
 
 

@@ -76,7 +76,8 @@ def means_within(values: Values) -> dict[str, IntervalEstimate]:
 
     The intervals show how well means can be compared with each other (D. Cousineau, "Confidence intervals in
     within-subject designs", 2005; R. D. Morey, "Confidence intervals from normalized data", 2008). They are those of
-    participants with a value in every condition. Conditions without values are left out.
+    participants with a value in every condition. A condition with equal values has none, and one without values is left
+    out.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def means_within(values: Values) -> dict[str, IntervalEstimate]:
     if n > 1 and conditions > 1:
         x = np.array([[own[who] for who in everywhere] for own in shown.values()])
         deviation = (x - x.mean(axis=0)).std(axis=1, ddof=1) * np.sqrt(conditions / (conditions - 1))
-        errors = deviation / np.sqrt(n)
+        errors = np.where(np.ptp(x, axis=1) > 0, deviation / np.sqrt(n), np.nan)
     return {
         name: IntervalEstimate.of(fmean(own.values()), error, n - 1, LEVEL)
         for (name, own), error in zip(shown.items(), errors.tolist(), strict=True)

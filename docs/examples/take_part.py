@@ -1,4 +1,7 @@
-"""Takes part in a user study over HTTP, as a page does: python take_part.py LINK, with the join link of the study."""
+"""Takes part in a user study over HTTP, as a page does: python take_part.py LINK, with the join link of the study.
+
+Without a suggestion it acts at random, which may take thousands of steps: give the study `minutes`.
+"""
 
 import random
 import sys

@@ -12,6 +12,7 @@ Commands show progress at once. Functions that may run for minutes have an argum
 from __future__ import annotations
 
 import functools
+import math
 import os
 import sys
 import threading
@@ -45,7 +46,8 @@ COMPILING_LINE = "compiling {purpose}; once after an installation"
 class Stage(NamedTuple):
     """A stage of the work, its progress, and when it began (`time.monotonic()`); `total` is None if it is unknown.
 
-    What was done at the beginning, `first`, such as the part of a resumed run, says nothing about the time left.
+    What was done at the beginning, `first`, such as the part of a resumed run, says nothing about the time left. The
+    work ends by `until` in any case.
     """
 
     what: str
@@ -53,15 +55,18 @@ class Stage(NamedTuple):
     total: int | None
     begun: float
     first: int = 0
+    until: float = math.inf
 
     def __str__(self) -> str:
-        seconds = time.monotonic() - self.begun
+        seconds = (now := time.monotonic()) - self.begun
         line = f"{visible(self.what)}, {seconds:.0f} s"
         if self.total is None:
             return f"{line}: {self.done:,}, {self.done / max(seconds, 1e-9):,.0f}/s" if self.done else line
-        new = self.done - self.first
-        left = f", about {seconds / new * (self.total - self.done):.0f} s left" if new > 0 else ""
-        return f"{line}: {self.done:,} of {self.total:,}{left}"
+        line, new = f"{line}: {self.done:,} of {self.total:,}", self.done - self.first
+        if new <= 0:
+            return line
+        left = min(seconds / new * (self.total - self.done), max(0.0, self.until - now))
+        return f"{line}, about {left:.0f} s left"
 
 
 @contextmanager
@@ -81,11 +86,13 @@ def status_line(first: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def stages(after: float = 0.0) -> Iterator[Progress]:
+def stages(after: float = 0.0, within: float = math.inf) -> Iterator[Progress]:
     """Show the stages of some work one after another, and yield the function that reports them.
 
-    The function is called with the stage, the number of items done, and their total.
+    The function is called with the stage, the number of items done, and their total. Nothing is shown in the first
+    `after` seconds. The work ends `within` a number of seconds.
     """
+    until = time.monotonic() + within
     begun: dict[str, tuple[float, int]] = {}
     latest = ""
     with _display(after) as show:
@@ -95,7 +102,7 @@ def stages(after: float = 0.0) -> Iterator[Progress]:
             if what not in begun or (done == 0 and what != latest):  # first, or started once more
                 begun[what] = time.monotonic(), done
             latest = what
-            show(Stage(what, done, total, *begun[what]))
+            show(Stage(what, done, total, *begun[what], until))
 
         yield report
 

@@ -148,6 +148,8 @@ def test_a_mean_above_the_bound_by_chance_is_within_its_error() -> None:
 def test_a_certificate_by_hand() -> None:
     found = Certificate.of("mine", np.array([-10.0, -12.0, -14.0]), humans=2, upper=-10.5, slack=0.6)
     assert found == Certificate(2, "mine", -12.0, 2 / math.sqrt(3), -10.5, 12.5, 5.0, 3)
+    loose = Certificate.of("mine", np.array([-10.0, -12.0, -14.0]), humans=2, upper=-10.5, slack=6.0)
+    assert loose.slack_percent == loose.gap_percent  # no solution lowers a bound below the policy's value
     nothing = Certificate.of("mine", np.zeros(2), humans=1, upper=0.5, slack=0.1)
     assert (nothing.gap_percent, nothing.slack_percent) == (0, 0)
 

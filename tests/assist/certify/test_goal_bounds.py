@@ -127,7 +127,7 @@ def test_the_command() -> None:
     more = ["--value-episodes", "50", "--gap", ".5", "--set", "goal_prior=travel=.5,mend=.5,mount=0"]
     result = invoke(*given, *more, "--set", "gamma=0.7", "--json")
     assert result.exit_code == 0
-    assert re.fullmatch(r"first, [^\n]+: gap at most \d+\.\d\d %\n", result.stderr)
+    assert re.fullmatch(r"a first answer, [^\n]+: gap at most \d+\.\d\d %; a tighter bound follows\n", result.stderr)
     found = json.loads(result.stdout)
     assert found["goals"] == {"travel": 0.5, "mend": 0.5, "mount": 0}
     assert found["value"] - 4 * found["value_stderr"] <= found["upper"]

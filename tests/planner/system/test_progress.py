@@ -92,6 +92,17 @@ def test_what_was_done_before_says_nothing_about_the_time_that_is_left(monkeypat
     assert shown == ["episodes, 0 s: 90 of 100", "episodes, 10 s: 91 of 100, about 90 s left"]
 
 
+def test_no_more_time_is_left_than_the_limit_of_the_work_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown, now = list[str](), [1000.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("planner.system.progress._Display.show", lambda _, stage: shown.append(str(stage)))
+    with progress.stages(within=30.0) as show:
+        for done, seconds in ((0, 0), (1, 10), (2, 10), (3, 20)):
+            now[0] += seconds
+            show("rounds", done, 40)
+    assert [line.partition(", about ")[2] for line in shown] == ["", "20 s left", "10 s left", "0 s left"]
+
+
 @pytest.mark.parametrize(
     ("display", "told", "line"),
     [

@@ -219,6 +219,9 @@ def test_intervals_of_conditions_leave_out_what_participants_differ_in() -> None
     assert found.value == pytest.approx((x[2].sum() + 90) / 9)
     assert found.high - found.value == pytest.approx(half)
     assert half < 3
+    never = means_within({**values, "none": dict.fromkeys(values["a"], 0.0)})["none"]
+    assert never.value == 0
+    assert math.isnan(never.low)
 
 
 def test_within_participants_the_report_has_those_intervals(tmp_path: Path) -> None:
