@@ -24,13 +24,7 @@ from planner.grounding.task import Task, Variable
 WITH_STATES = solvable(SMALL)
 
 
-COMPARED = [
-    pytest.param(instance, marks=[pytest.mark.slow] if number % 2 else [])
-    for number, instance in enumerate(WITH_STATES)
-]
-
-
-@pytest.mark.parametrize("instance", COMPARED, ids=named)
+@pytest.mark.parametrize("instance", thinned(WITH_STATES, 3), ids=named)
 def test_cost_to_go_equals_fast_downwards(instance: Instance) -> None:
     table = table_of(instance)
     compared = verify(table, 6, np.random.default_rng(1))

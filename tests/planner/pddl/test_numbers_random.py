@@ -68,7 +68,10 @@ def test_functions_that_nothing_reads_or_changes_leave_a_classical_task(tmp_path
     assert compared(1266, tmp_path)
 
 
-@pytest.mark.parametrize(("seed", "free"), [(1002, False), (1976, False), (1073, True), (1140, True)])
+@pytest.mark.parametrize(("free", "seed"), [
+    (False, 1002), (True, 1140), pytest.param(False, 1976, marks=pytest.mark.slow),
+    pytest.param(True, 1073, marks=pytest.mark.slow),
+])  # fmt: skip
 def test_a_task_without_a_plan_is_swept_although_nothing_bounds_its_numbers(
     seed: int, free: bool, tmp_path: Path
 ) -> None:
