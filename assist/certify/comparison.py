@@ -63,7 +63,7 @@ class Comparison:
         travel = options.get("travel") or pool.setting.travel(len(team))
         runs = {name: Simulated(pool, policy, team, travel, seed=seed_number) for name, policy in policies.items()}
         problems = [pool.policies[model].problem for model in pool.model[list(team)]]
-        if first is not None and all(problem.region is None for problem in problems):
+        if first is not None and all(problem.whole for problem in problems):
             upper = free_attention_bound(pool, team, travel)
             _simulate(runs, min(episodes, FIRST_EPISODES), None, progress)
             first(_certificates(runs, upper, math.nan))

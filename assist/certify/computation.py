@@ -153,7 +153,7 @@ class Computation:
     @property
     def needs_outer(self) -> bool:
         """Whether prices need the outer relaxation, as values of some states are not kept."""
-        return any(policy.problem.region is not None for policy in self.policies)
+        return not all(policy.problem.whole for policy in self.policies)
 
     def kinds(self, steps: int, with_outer: bool) -> list[SubproblemKind]:
         """Return the kinds of subproblems with prices on some steps."""

@@ -33,9 +33,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..declare.declared import MOST
 from ..people.decision import Floats
-from ..people.theta_reach import ThetaReach, range_of_gains
+from ..people.theta_reach import ThetaReach
 from ..person.attention_subproblem import AttentionSubproblem, backwards
 from ..person.mdp_values import initial_upper_bounds, value_iteration
 from ..person.qmdp import QMDP, look_ahead
@@ -88,16 +87,9 @@ class Envelope(OwnTheta):
         ValueError
             As in `ThetaReach.of`.
         """
-
-        def gains(number: int) -> tuple[float, float]:
-            if pool.policies[number].problem.region is not None:
-                return -MOST, MOST
-            pomdp = pool.policies[number].pomdp
-            return range_of_gains(pomdp.model, pomdp.robot_actions > 1)
-
         kind, grid = pool.model[list(team)].tolist(), pool.policies[0].pomdp.grid
         seen, most = pool.setting.neighbourhood(len(team)), len(pool.setting.robots)
-        reach = ThetaReach.at(seen, places, kind, gains, grid, most)
+        reach = ThetaReach.at(seen, places, kind, lambda number: pool.policies[number].problem.gains, grid, most)
         return OwnTheta() if reach is None else cls(reach)
 
     def tail(self, free: AttentionSubproblem) -> Floats:

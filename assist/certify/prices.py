@@ -182,7 +182,7 @@ def kinds_of(
         # The outer relaxations of all kinds are kept in memory, if they are included. An upper bound on a truncated
         # problem is one on that of the whole task (`person.truncated_bound`).
         envelopes[key] = Envelope.of(pool, team, tuple(members[key]))
-        given = pool.policies[model].bounded(
+        given = pool.policies[model].problem.bounded(
             entry, with_outer=with_outer, theta_moves=envelopes[key].moves,
             limits=BoundLimits(until, room if with_outer else memory_limit_mb, room).shared(len(members) - done),
         )  # fmt: skip

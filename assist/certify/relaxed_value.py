@@ -23,9 +23,10 @@ def relaxed_value(bound: TeamBound, *, episodes: int = 20_000, seed: Seed = 0) -
     Raises
     ------
     ValueError
-        A task is truncated: its relaxed problem ends at the frontier, with bounds that are values of no policy.
+        A task is truncated. Its relaxed problem ends at a frontier, where the only value that is known to be reached is
+        that of paying the dearest action in every later step; the mean would be too low to say anything.
     """
-    if any(policy.problem.region is not None for policy in bound.pool.policies):
+    if not all(policy.problem.whole for policy in bound.pool.policies):
         raise ValueError("relaxed_value: expected an enumerated task, as bounds of a truncated one end at its frontier")
     episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
     gamma = bound.pool.setting.gamma

@@ -27,15 +27,17 @@ from planner import CostToGo
 
 from ..people.choices import WAIT
 from ..people.decision import NOTHING, Floats
-from ..people.goals import each_of, first_of
+from ..people.goals import each_of, first_of, prior_of
 from ..people.memory_on_demand import memory_of
 from .assumptions import Assumptions
+from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem
 from .expected_values import expected
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 from .problem_rows import Extent, ProblemRows, Snapshot
 from .rows import NONE, OWN, Rows
 from .shared_task import SharedTask
+from .truncated_bound import bounded
 from .truncated_task import TruncatedTask
 
 Ints = NDArray[np.int64]
@@ -94,6 +96,7 @@ class GrowingProblem(ProblemRows):
         self.dearest = float(costs.max(initial=1.0))
         self._rows = Rows(OF_PLACES | OF_CHOICES)
         self._tables = OrderedDict[str, None]()  # the last used last
+        self._bounds = dict[tuple[float, bool, bool], list[tuple[float, TruncatedProblem]]]()
         self._lock = threading.RLock()
         self._step = self._learn(np.array([known.initial]))  # it has row 0
         self.first = self._step.pomdp
@@ -111,6 +114,27 @@ class GrowingProblem(ProblemRows):
     def states(self, places: Ints) -> Ints:
         """Return the task state of each place, shape (N,)."""
         return memory_of(self.ground.known).state_of(places)
+
+    def bounded(
+        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
+    ) -> list[tuple[float, TruncatedProblem]]:
+        """Return each goal's probability and its problem on a truncated task, computed once; `limits` are of all."""
+        for outer in (True, with_outer):  # with the outer relaxation it includes everything
+            if (entry, outer, theta_moves) in self._bounds:
+                return self._bounds[entry, outer, theta_moves]
+        found, each = list[tuple[float, TruncatedProblem]](), each_of(self.ground.known)
+        possible = [
+            (known, share) for known, share in zip(each, prior_of(self.ground.known).values(), strict=True) if share
+        ]
+        for done, (known, share) in enumerate(possible):
+            own = replace(limits.shared(len(possible) - done), kept_mb=limits.kept_mb / len(possible))
+            problem = bounded(
+                known, self.assumed, entry=entry, size=self.ground.size, with_outer=with_outer,
+                theta_moves=theta_moves, limits=own, among=self.ground.known,
+            )  # fmt: skip
+            found.append((share, problem))
+        self._bounds[entry, with_outer, theta_moves] = found
+        return found
 
     def on(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, TypeGuard, overload
 
@@ -14,6 +14,7 @@ from planner import CostToGo, Table
 from planner.system.arrays import outline
 
 from ..people.arguments import whole
+from ..people.choices import Choices
 from ..people.goals import Goals, each_of, first_of, known_task, require_one_goal
 from ..people.human import Human
 from ..people.memory import choices_of
@@ -22,6 +23,7 @@ from ..people.misconception import Misconception
 from ..people.ranges import Population
 from .assumptions import Assumptions
 from .closed_problem import closed_problem
+from .lazy_policy import LazyPolicy
 from .memory_needed import depth_within, first_bounds_bytes
 from .policy import Policy
 from .pomdp import AssistPOMDP
@@ -84,7 +86,35 @@ def policy_on(known: CostToGo | Goals, assumed: Assumptions) -> Policy:
     weights = assumed.population.weights
     if is_whole(known):
         return qmdp(assumed.problem(choices_of(known, tuple(weights))))
-    return TruncatedPolicy(SharedTask(on_demand(known, weights)), assumed)
+    return next(policies_on(SharedTask(on_demand(known, weights)), [assumed]))
+
+
+def policies_on(
+    task: Choices | SharedTask, each: Sequence[Assumptions], solver: Callable[[AssistPOMDP], Policy] = qmdp,
+    advance: Callable[[int], None] = lambda _: None,
+) -> Iterator[Policy]:  # fmt: skip
+    """Yield the policy for each of some people at a task, which is solved on first use.
+
+    Parameters
+    ----------
+    task : Choices or SharedTask
+        The choices in all states, or a task that is too large to enumerate them.
+    each : sequence of Assumptions
+        What the robot assumes of each person.
+    solver : callable
+        Solves a person's problem.
+    advance : callable
+        Called with the number of people whose problems have been built in all states, also before the first one.
+    """
+    if isinstance(task, Choices):
+        advance(0)
+        for number, assumed in enumerate(each, start=1):
+            yield LazyPolicy(replace(assumed.problem(task), alike=len(each)), solver)
+            advance(number)
+        return
+    own, typical = None if solver == qmdp else solver, TruncatedPolicy(task, replace(each[0], human=None))
+    for assumed in each:
+        yield TruncatedPolicy(task, assumed, None if assumed.human is None else typical, own)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem, given_goals
 from .mdp_values import evaluate
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
@@ -106,16 +105,6 @@ class Policy:
         """Values of a robot that never helps a person whose type and theta it knows; they are computed now."""
         never = np.zeros(len(self.pomdp.robot_actions), dtype=np.int64)
         return evaluate(self.pomdp.unattended(), never).__getitem__
-
-    def bounded(
-        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
-    ) -> list[tuple[float, TruncatedProblem]]:
-        """Return each possible goal's probability, and the problem given this goal whose upper bound holds for all.
-
-        The arguments are those of `person.truncated_bound.bounded`.
-        """
-        del entry, with_outer, theta_moves, limits
-        return [(chance, TruncatedProblem(problem)) for chance, problem in given_goals(self.pomdp)]
 
 
 def not_worth_its_cost(c_suggest: float) -> str:

@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 
+from ..declare.declared import MOST
 from ..people.choices import Choices
+from ..people.neighbours import Range
+from ..people.theta_reach import range_of_gains
+from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem, given_goals
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 from .rows import NONE
@@ -63,8 +67,7 @@ class ProblemRows(Protocol):
     Attributes
     ----------
     region : int or None
-        None if all places have rows, of which everything is known. Otherwise values are computed on a truncated task
-        of so many states.
+        Number of states of the truncated task on which values are computed; None if all places have rows.
     first : AssistPOMDP
         The problem before anybody has come to another place than the initial one; or the whole problem.
     lasting : int array
@@ -91,6 +94,25 @@ class ProblemRows(Protocol):
 
     @property
     def extent(self) -> Extent: ...  # noqa: D102
+
+    @property
+    def whole(self) -> bool:
+        """Whether all places have rows, of which everything is known from the start."""
+        return self.region is None
+
+    @property
+    def gains(self) -> Range:
+        """The least and the largest gain of a step of a person who may have got a suggestion (`range_of_gains`)."""
+        return -MOST, MOST
+
+    def bounded(
+        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
+    ) -> list[tuple[float, TruncatedProblem]]:
+        """Return each possible goal's probability, and the problem given this goal whose upper bound holds for all.
+
+        The arguments are those of `person.truncated_bound.bounded`.
+        """
+        ...
 
     def task_of(self, goal: int) -> Choices | CostToGo:
         """Return the whole task with one of the goals, given by its number."""
@@ -155,6 +177,18 @@ class WholeProblem(ProblemRows):
         h = self._choices.goals.h
         most, robots = self.first.suggested.shape
         return Extent(most, robots, float(h[np.isfinite(h)].max(initial=0.0)))
+
+    @property
+    def gains(self) -> Range:
+        """The gains of the steps that there are."""
+        return range_of_gains(self.first.model, self.first.robot_actions > 1)
+
+    def bounded(
+        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
+    ) -> list[tuple[float, TruncatedProblem]]:
+        """Return each goal's probability and its problem, which has no frontier."""
+        del entry, with_outer, theta_moves, limits
+        return [(chance, TruncatedProblem(problem)) for chance, problem in given_goals(self.first)]
 
     def task_of(self, goal: int) -> Choices:
         """Return the choices with one of the goals."""

@@ -50,7 +50,7 @@ class RowsOfPeople:
 
     def __init__(self, policies: Sequence[Policy], model: Ints) -> None:
         self.policies, self.model = policies, model
-        self._grows = np.array([policy.problem.region is not None for policy in policies])
+        self._grows = np.array([not policy.problem.whole for policy in policies])
         self._in_all = dict[Callable[..., Any], NDArray[Any]]()
 
     def rows(self, places: Ints, active: Ints) -> Ints:

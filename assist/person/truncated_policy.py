@@ -25,14 +25,12 @@ from planner import CostToGo
 from planner.system.limits import available_memory
 from planner.system.progress import reporting
 
-from ..people.belief import Grid
 from ..people.decision import Floats
-from ..people.goals import Goals, each_of, prior_of
+from ..people.goals import Goals, each_of
 from ..people.hidden_type import HiddenType, OfGoals
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
 from .closed_problem import closed_problem
-from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem
 from .growing_problem import Backup, GrowingProblem
 from .leaf_estimates import LeafEstimates
 from .memory_needed import require_room
@@ -41,7 +39,6 @@ from .policy_iteration import SOLVING
 from .pomdp import AssistPOMDP
 from .qmdp import look_ahead
 from .shared_task import SharedTask
-from .truncated_bound import bounded
 from .truncated_task import TruncatedTask
 from .visiting_robot import VisitingRobot
 
@@ -95,8 +92,6 @@ class TruncatedPolicy(Policy):
     solved : dict
         Cached estimates for each goal, by the parameters of the subproblem with a price of attention. The key is () for
         a robot that is always present, and `NEVER` for one that does not help.
-    bounds : dict
-        Cached problems for bounds, by the cost of coming, by whether they have the outer relaxation, and `theta_moves`.
     found : dict
         Cached truncated tasks, by the id of the goal's cost-to-go or of all `Goals`.
     """
@@ -106,9 +101,6 @@ class TruncatedPolicy(Policy):
     like: TruncatedPolicy | None = None
     solver: Callable[[AssistPOMDP], Policy] | None = None
     solved: dict[tuple[float, ...], tuple[LeafEstimates, ...]] = field(default_factory=dict, repr=False)
-    bounds: dict[tuple[float, bool, bool], list[tuple[float, TruncatedProblem]]] = field(
-        default_factory=dict, repr=False
-    )
     found: dict[int, TruncatedTask] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -134,34 +126,6 @@ class TruncatedPolicy(Policy):
                 known, states=ground.size, population=assumed.population, human=assumed.human, among=ground.known
             )
         return self.found[id(known)]
-
-    def bounded(
-        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
-    ) -> list[tuple[float, TruncatedProblem]]:
-        """Return each goal's probability and its problem for an upper bound, computed once.
-
-        The arguments are those of `truncated_bound.bounded`, for all goals together.
-        """
-        for outer in (True, with_outer):  # with the outer relaxation it includes everything
-            if (entry, outer, theta_moves) in self.bounds:
-                return self.bounds[entry, outer, theta_moves]
-        ground, found = self.ground, list[tuple[float, TruncatedProblem]]()
-        shares = list(prior_of(ground.known).values())
-        possible = [number for number, share in enumerate(shares) if share > 0]
-        for done, number in enumerate(possible):
-            share = replace(limits.shared(len(possible) - done), kept_mb=limits.kept_mb / len(possible))
-            problem = bounded(
-                self.problem.task_of(number), self.assumed, entry=entry, size=ground.size, with_outer=with_outer,
-                theta_moves=theta_moves, limits=share, among=ground.known,
-            )  # fmt: skip
-            found.append((shares[number], problem))
-        self.bounds[entry, with_outer, theta_moves] = found
-        return found
-
-    @cached_property
-    def grid(self) -> Grid:
-        """The grid of beta and theta of the robot's belief."""
-        return self.assumed.grid
 
     def prepare(self) -> tuple[LeafEstimates, ...]:
         """Return each goal's value estimates for a robot that is always present, computed by the first call."""

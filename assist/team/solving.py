@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 
 from planner import CostToGo
 from planner.system.limits import Deadline
-from planner.system.progress import Progress, adding
+from planner.system.progress import Progress
 
 from ..people.arguments import require_goal, require_options, whole
 from ..people.choices import Choices
@@ -19,15 +18,13 @@ from ..people.human import Human
 from ..people.memory_on_demand import on_demand
 from ..people.ranges import Population
 from ..person.assumptions import Assumptions
-from ..person.lazy_policy import LazyPolicy
 from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
-from ..person.person_problem import WHOLE, is_whole
+from ..person.person_problem import WHOLE, is_whole, policies_on
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import qmdp
 from ..person.settings import Setting
 from ..person.shared_task import SharedTask, default_size
-from ..person.truncated_policy import TruncatedPolicy
 from .affordable import affordable_choices, require_room_for_people
 from .drawn import Drawn
 
@@ -90,39 +87,27 @@ def solved_on_demand(
     if (region := solving.get("region")) is not None:
         whole("region", region, 1)
     require_one_goal(table, terms)
-    own = solver if solver != qmdp else None
     asks = setting.c_ask is not None  # worth of answers: exact where it is affordable
-    most = MAX_ENUMERATED if asks or own or terms else states
+    most = MAX_ENUMERATED if asks or solver != qmdp or terms else states
     choices: Choices | None = None
     if isinstance(table, Choices) or is_whole(table, most):
         choices = affordable_choices(table, setting, terms, them.size, limit)
+    task: Choices | SharedTask
     if choices is None:
         assert not isinstance(table, Choices)
-        return _truncated(table, them, setting, prior, **solving)
+        require_goal(float(costs_to_go(table, np.array([first_of(table).initial])).min()))
+        require_room_for_people(them.size, 0, limit)
+        models = them.size if setting.knowledge == "own" else 1
+        size = region or min(default_size(table), states_within(limit, each_of(table), models))
+        task = SharedTask(on_demand(table, dict.fromkeys(terms)), size, models)
+    else:
+        task = choices
     people = them.at(choices)
     known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
-    advance, policies = adding(tell, "setting up people's POMDPs", len(known)), list[Policy]()
-    for human in known:
-        ends.check(f"setting up {len(policies)} of {len(known)} people's POMDPs; expected fewer people, or more time")
-        problem = replace(Assumptions.of(setting, human, prior).problem(choices), alike=len(known))
-        policies.append(LazyPolicy(problem, solver))
-        advance(1)
-    return people, policies
 
+    def advance(done: int) -> None:
+        if done < len(known):
+            ends.check(f"setting up {done} of {len(known)} people's POMDPs; expected fewer people, or more time")
+        tell("setting up people's POMDPs", done, len(known))
 
-def _truncated(
-    table: CostToGo | Goals, them: Drawn, setting: Setting, prior: Population, **solving: Unpack[Solving]
-) -> tuple[Sequence[Human], list[Policy]]:
-    """Return people at a task that is not enumerated, and their policies."""
-    region, limit = solving.get("region"), solving.get("memory_limit_mb", MEMORY_LIMIT_MB)
-    solver = solving.get("solver", qmdp)
-    own = solver if solver != qmdp else None
-    require_goal(float(costs_to_go(table, np.array([first_of(table).initial])).min()))
-    require_room_for_people(them.size, 0, limit)
-    people, models = them.at(None), them.size if setting.knowledge == "own" else 1
-    room, terms = states_within(limit, each_of(table), models), (*them.terms, *prior.weights)
-    ground = SharedTask(on_demand(table, dict.fromkeys(terms)), region or min(default_size(table), room), models)
-    of_task = TruncatedPolicy(ground, Assumptions.of(setting, None, prior), solver=own)
-    if setting.knowledge != "own":
-        return people, [of_task]
-    return people, [TruncatedPolicy(ground, Assumptions.of(setting, one, prior), of_task, own) for one in people]
+    return people, list(policies_on(task, [Assumptions.of(setting, one, prior) for one in known], solver, advance))

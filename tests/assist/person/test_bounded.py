@@ -315,7 +315,7 @@ def test_a_robot_that_may_mistake_the_state_considers_all_suggestions(monkeypatc
         knowledge="exact", c_suggest=0.01, gamma=0.6, trust="constant", observation=ObservationModel(miss=0.01)
     )
     pool = Pool.sample(table, 1, seed=1, setting=setting, population=people, states=1, region=1)
-    ((_, one),) = pool.policies[0].bounded(0.0)
+    ((_, one),) = pool.policies[0].problem.bounded(0.0)
     whole = solve(Assumptions.of(setting, None, people).problem(Choices.of(table)))
     assert solve(one.problem).upper >= whole.lower - 1e-9
     only_optimal = Assumptions.of(replace(setting, observation=None), None, people).problem(Choices.of(table))
