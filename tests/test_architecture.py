@@ -43,7 +43,7 @@ ROOMS = {
         dynamics joint_belief beliefs seen_beliefs hidden_beliefs expected_values qmdp solution_cache
         alpha_vectors upper_hull convex_bound belief_hulls vector_lists hsvi search memory_needed
         further_beliefs solver time_expansion subproblem_frontier attention_subproblem frontier_bounds
-        likely_states truncated_task state_cache shared_task closed_problem backups compliance_relaxation
+        state_cache likely_states truncated_task shared_task closed_problem backups compliance_relaxation
         truncated_bound growing_problem leaf_estimates truncated_policy person_problem""",
     "assist.team": """policy_names by_policy state action_check assignment schedule people_at_work seen baselines
         attention attention_never outlook questions robots_at_work trust_of_people model_group engine priority whittle

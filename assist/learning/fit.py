@@ -25,6 +25,7 @@ from ..people.terms import TERMS, Term
 from ..people.weighted_choice import Weighted
 from ..person.settings import Setting
 from ..person.state_cache import StateCache
+from ..person.truncated_task import TruncatedTask
 from .diagnostics import check
 from .distribution import Margin, PopulationFit
 from .evidence import Evidence, Reading, Records, Tasks, evidence
@@ -343,7 +344,7 @@ def with_model(
     numbers = [o.state for o in observations]
     after = [o.targets[np.arange(len(o)), np.maximum(o.suggested, 0)] for o in observations]
     states = np.unique(np.concatenate([*numbers, *after]))
-    choices = StateCache(known).around(states).choices  # the states, and their successors, which have no choices
+    choices = TruncatedTask.around(StateCache(known), states).choices  # successors have no choices
     q = perceived_cost(choices, choices.h)
     v = value(chooses, choices, q)
     beta = SMALL * largest * np.expm1(np.linspace(0.0, math.log1p(1 / SMALL), 257))

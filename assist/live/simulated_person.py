@@ -27,6 +27,7 @@ from ..people.weighted_choice import Weighted
 from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel
 from ..person.state_cache import NONE, StateCache
+from ..person.truncated_task import TruncatedTask
 from .seen_suggestions import Saw
 
 
@@ -150,7 +151,7 @@ class SimulatedPerson:
         model : ObservationModel
         """
         assert self.state is not None
-        region = self._cache(task).around(np.array([self.state]))
+        region = TruncatedTask.around(self._cache(task), np.array([self.state]))
         choices = region.choices
         done = self.act(task, self.state, [choices.name(0, 0)], suggestion)
         slot = next(n for n in range(choices.applicable[0].sum()) if choices.name(0, n) == done)
@@ -175,7 +176,7 @@ class SimulatedPerson:
         Those after the suggested action are included, as trust depends on its value.
         """
         then = NONE if suggested == NOTHING else rows.targets[[suggested]]
-        choices = self._cache(task).around(np.array([state]), then=then).choices
+        choices = TruncatedTask.around(self._cache(task), np.array([state]), then=then).choices
         return self._with_terms(task, state, rows, choices) if isinstance(self.human.chooses, Weighted) else choices
 
     def _cache(self, task: CostToGo) -> StateCache:

@@ -64,6 +64,6 @@ def value_beyond(region: TruncatedTask, assumed: Assumptions) -> Floats | None:
 
 def _expected(region: TruncatedTask, states: NDArray[np.int64], assumed: Assumptions) -> Floats:
     """Return V(x) in some states of the whole task for each goal, shape (N, G)."""
-    model = assumed.model(StateCache(region.known).around(states).choices)
+    model = assumed.model(TruncatedTask.around(StateCache(region.known), states).choices)
     each = [value(assumed.chooses, choices, q) for choices, q in model.of_each_goal]
     return np.stack(each, axis=1)[: len(states)]

@@ -7,8 +7,8 @@ probabilities and the robot's actions. Two things take more, and are computed wh
   So it is with an action that the robot executes, after which the person acts in another state.
 - The Q-values of the robot's actions are one exact Bellman backup of estimated values of the successors.
 
-All of it follows from a problem of one step, the truncated task that ends after it (`StateCache.around`). Once Q-values
-have been asked for, a new row gets its own from the same problem.
+All of it follows from a problem of one step, the truncated task that ends after it (`TruncatedTask.around`). Once
+Q-values have been asked for, a new row gets its own from the same problem.
 """
 
 from __future__ import annotations
@@ -263,7 +263,7 @@ class GrowingProblem(ProblemRows):
         """
         # Where looking up a state is slow, the effects of suggestions on trust are computed when they are first used.
         ahead, optimal = not self.searches or bool(self._tables), self.assumed.suggestions == "optimal"
-        region = self.ground.visited.around(places, then=then, ahead=ahead, advice_is_optimal=optimal)
+        region = TruncatedTask.around(self.ground.visited, places, then=then, ahead=ahead, advice_is_optimal=optimal)
         pomdp, rows, inside = self.on(region), self._rows, np.ones(len(region.states), dtype=bool)
         inside[region.frontier] = False
         at = np.sort(np.unique(region.states, return_index=True)[1])  # each place once; those asked for come first

@@ -1,33 +1,54 @@
-"""A cache of visited states of a task of any size, with the choices in them.
+"""The states of a task of any size that have been looked at, with the choices in them.
 
-The next step of some people needs little data: the choices in their states, and in the states to which suggestions may
-lead, as the trust update looks at these. `StateCache.around` returns these data as a `TruncatedTask` whose frontier
-follows after one step. The cache keeps all expanded states, so that its memory grows with the number of visited states.
-Misconceptions need no memory (`people.misconception`).
+Whatever looks at a large task step by step keeps here what it has seen: people who are at work, and the expansion of
+the likeliest states. The memory grows with the number of states. Misconceptions need none (`people.misconception`).
 """
 
 from __future__ import annotations
 
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo, Transitions
 
-from ..people.choices import WAIT, Choices
+from ..people.choices import Choices
 from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, optimal_for_each
+from ..people.slots import padded
 from ..people.state_keys import keys_of
-from .truncated_task import TruncatedTask
 
 Ints = NDArray[np.int64]
 
 NONE = np.empty(0, dtype=np.int64)
 
 
+class Part(NamedTuple):
+    """Some states of a task, of which some have their choices.
+
+    Attributes
+    ----------
+    each : list of Choices
+        The choices of each goal; states of the frontier have none.
+    states : int array, shape (n,)
+        Number of each state in the task.
+    frontier : int array
+        Indices of the states without choices.
+    rows : Transitions
+        The transitions from the n states, to indices.
+    """
+
+    each: list[Choices]
+    states: Ints
+    frontier: Ints
+    rows: Transitions
+
+
 class StateCache:
-    """The known data of all visited states. All methods are thread-safe.
+    """The known data of all states that were looked at. All methods are thread-safe.
+
+    A state has a *number* in the task, and a *place* here, in the order in which states were first seen.
 
     Parameters
     ----------
@@ -37,11 +58,10 @@ class StateCache:
 
     def __init__(self, known: CostToGo | Goals) -> None:
         self.known, self._first_goal = known, first_of(known)
-        self._prices = np.append(self._first_goal.task.action_costs, 1.0)  # a wait costs 1
-        self._row: dict[int, int] = {}
+        self._place: dict[int, int] = {}
         self._states = _Rows(np.int64)
         goals = len(each_of(known))
-        self._h, self._goal = _Rows(np.float64, goals), _Rows(np.bool_, goals)
+        self.h, self.goal = _Rows(np.float64, goals), _Rows(np.bool_, goals)
         self._key = _Rows(np.uint64)
         # Offset of each state's choices in the lists of choices, and their number; -1: not expanded.
         self._first, self._count = _Rows(np.int64), _Rows(np.int64)
@@ -51,111 +71,103 @@ class StateCache:
     def __len__(self) -> int:
         return len(self._states)
 
-    def around(
-        self, states: Ints, *, then: Ints = NONE, ahead: bool = False, advice_is_optimal: bool = True
-    ) -> TruncatedTask:
-        """Return a truncated task of the given states, with their successors as the frontier.
+    def around(self, states: Ints, then: Ints, *, ahead: bool, advice_is_optimal: bool) -> Part:
+        """Return states and their successors; arguments as in `TruncatedTask.around`.
 
-        Parameters
-        ----------
-        states : int array, shape (N,)
-            Numbers of states in `known`. They are the first states, in this order, and a state may occur twice.
-        then : int array, shape (M,)
-            Successor states that are expanded as well, so that they are not on the frontier.
-        ahead : bool
-            Whether all successors after a suggestion are expanded, too.
-        advice_is_optimal : bool
-            Whether only optimal actions are suggested, or all.
+        No choice leads to the first N states; where one of them is a successor, it is there once more.
         """
         with self._lock:
-            here = self._expand(self._add(states))
-            advised = [self._add(then)]
+            here = self.expand(self.add(states))
+            advised = [self.add(then)]
             if ahead:
-                _, at = self._choices(here)
-                offered = self._optimal[at].any(axis=1) if advice_is_optimal else slice(None)
-                advised.append(self._targets[at][offered])
-            after = self._expand(np.unique(np.concatenate(advised)))
-            return self._region(here, after)
+                _, targets, _, optimal = self.choices(here)
+                advised.append(targets[optimal.any(axis=1)] if advice_is_optimal else targets)
+            after = self.expand(np.unique(np.concatenate(advised)))
+            expanded = np.concatenate([here, after])
+            rest = np.setdiff1d(self.choices(expanded)[1], after)
+            places = np.concatenate([expanded, rest])
+            return self._part(places, np.arange(len(places)) < len(expanded), len(here))
 
-    def _add(self, states: Ints) -> Ints:
-        """Return the rows of states, shape (N,); unknown states are added."""
-        wanted, place = np.unique(states, return_inverse=True)
-        numbers = wanted.tolist()
-        unknown_states = [number for number in numbers if number not in self._row]
-        if unknown_states:
-            new = np.array(unknown_states, dtype=np.int64)
-            h = costs_to_go(self.known, new)  # a query may fail; nothing has been stored yet
-            self._row |= zip(unknown_states, range(len(self), len(self) + len(unknown_states)), strict=True)
-            self._states.add(new)
-            self._h.add(h)
-            self._goal.add(goals_reached(self.known, new))
-            self._key.add(keys_of(self._first_goal, new))
-            self._first.add(np.zeros(len(new), dtype=np.int64))
-            self._count.add(np.full(len(new), -1))
-        rows = np.array([self._row[number] for number in numbers], dtype=np.int64)
-        return rows[place.reshape(-1)]
+    def every(self) -> Part:
+        """Return all states in the order of their places."""
+        places = np.arange(len(self))
+        return self._part(places, self.is_expanded(places))
 
-    def _expand(self, rows: Ints) -> Ints:
-        """Expand those of the rows that are not expanded yet, and return the rows."""
-        unknown = np.unique(rows[self._count[rows] < 0])
-        if len(unknown):
-            states = self._states[unknown]
-            found = self._first_goal.choices(states)
-            targets = np.asarray(found.targets, dtype=np.int64)
-            found = Transitions(np.asarray(found.offsets, dtype=np.int64), found.actions, targets)
-            to = self._add(targets)
-            optimal = optimal_for_each(self.known, states, found)
-            self._first[unknown] = len(self._actions) + found.offsets[:-1]
-            self._count[unknown] = np.diff(found.offsets)
-            self._actions.add(np.asarray(found.actions, dtype=np.int64))
-            self._targets.add(to)
-            self._optimal.add(optimal)
-        return rows
+    def add(self, states: Ints) -> Ints:
+        """Return the places of states, shape (N,); states that were not seen before are added."""
+        wanted, first, again = np.unique(states, return_index=True, return_inverse=True)
+        with self._lock:
+            new = np.array([n for n in wanted[np.argsort(first)].tolist() if n not in self._place], dtype=np.int64)
+            if len(new):
+                h = costs_to_go(self.known, new)  # a query may fail; nothing has been stored yet
+                self._place |= zip(new.tolist(), range(len(self), len(self) + len(new)), strict=True)
+                self._states.add(new)
+                self.h.add(h)
+                self.goal.add(goals_reached(self.known, new))
+                self._key.add(keys_of(self._first_goal, new))
+                self._first.add(np.zeros(len(new), dtype=np.int64))
+                self._count.add(np.full(len(new), -1))
+            places = np.array([self._place[number] for number in wanted.tolist()], dtype=np.int64)
+        return places[again.reshape(-1)]
 
-    def _choices(self, rows: Ints) -> tuple[Ints, Ints]:
-        """Return the choices of rows: their position in `rows` and their position in the lists of choices."""
-        counts = self._count[rows]
-        owner = np.repeat(np.arange(len(rows)), counts)
-        ends = np.cumsum(counts)
-        return owner, np.arange(len(owner)) - (ends - counts)[owner] + self._first[rows][owner]
+    def states(self, places: Ints) -> Ints:
+        """Return the numbers of states in the task, shape (N,)."""
+        return self._states[places]
 
-    def _region(self, here: Ints, after: Ints) -> TruncatedTask:
-        """Return the truncated task of expanded states, with their other successors as the frontier.
+    def is_expanded(self, places: Ints) -> NDArray[np.bool_]:
+        """Return whether the choices in states are known, shape (N,)."""
+        return np.asarray(self._count[places] >= 0)
 
-        The first rows are those of `here`, to which no choice leads; a successor has a row of its own.
+    def expand(self, places: Ints) -> Ints:
+        """Find the choices in those states in which they are not known yet, in this order, and return the places."""
+        with self._lock:
+            unknown = np.array([*dict.fromkeys(places[self._count[places] < 0].tolist())], dtype=np.int64)
+            if len(unknown):
+                states = self._states[unknown]
+                found = self._first_goal.choices(states)
+                targets = np.asarray(found.targets, dtype=np.int64)
+                found = Transitions(np.asarray(found.offsets, dtype=np.int64), found.actions, targets)
+                to = self.add(targets)
+                optimal = optimal_for_each(self.known, states, found)
+                self._first[unknown] = len(self._actions) + found.offsets[:-1]
+                self._count[unknown] = np.diff(found.offsets)
+                self._actions.add(np.asarray(found.actions, dtype=np.int64))
+                self._targets.add(to)
+                self._optimal.add(optimal)
+        return places
+
+    def choices(
+        self, places: Ints, among: NDArray[np.bool_] | bool = True
+    ) -> tuple[Ints, Ints, Ints, NDArray[np.bool_]]:
+        """Return the m choices in some states, shape (N,), of those `among` them that are looked at: all by default.
+
+        Returns
+        -------
+        offsets : int array, shape (N + 1,)
+            Where the choices in each state begin.
+        targets, actions : int arrays, shape (m,)
+            Places of the successors, and ground actions.
+        optimal : bool array, shape (m, G)
         """
-        expanded = np.concatenate([here, after])
-        owner, at = self._choices(expanded)
-        targets = self._targets[at]
-        rest = np.setdiff1d(targets, after)
-        rows = np.concatenate([expanded, rest])
-        others = np.concatenate([after, rest])
-        order = np.argsort(others)
-        to = len(here) + order[np.searchsorted(others, targets, sorter=order)]
-        counts = self._count[expanded]
-        shape = (len(rows), max(1, int(counts.max(initial=0))))
-        slot = np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner]
-        goal, h, optimal = self._goal[rows], self._h[rows], self._optimal[at]
-        applicable = np.zeros(shape, dtype=bool)
-        actions, costs = np.full(shape, WAIT, dtype=np.int64), np.zeros(shape)
-        follows = np.repeat(np.arange(len(rows))[:, None], shape[1], axis=1)
-        applicable[owner, slot] = True
-        actions[owner, slot] = self._first_goal.task.first_of_name[self._actions[at]]
-        follows[owner, slot] = to
-        costs[owner, slot] = self._prices[self._actions[at]]
-        key, frontier = self._key[rows], np.arange(len(expanded), len(rows))
+        counts = np.where(among, self._count[places], 0)
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        at = np.arange(offsets[-1]) + np.repeat(self._first[places] - offsets[:-1], counts)
+        return offsets, self._targets[at], self._actions[at], self._optimal[at]
 
-        def of_goal(number: int) -> Choices:
-            reached, advised = goal[:, number], np.zeros(shape, dtype=bool)
-            advised[owner, slot] = optimal[:, number]
-            stuck = np.flatnonzero((counts == 0) & ~reached[: len(expanded)])
-            waits, price = applicable.copy(), costs.copy()
-            waits[stuck, 0], price[stuck, 0] = True, self._prices[WAIT]
-            names = self._first_goal.task.actions
-            return Choices(h[:, number], reached, waits, actions, follows, price, advised, names, key=key)
-
-        each = [of_goal(number) for number in range(goal.shape[1])]
-        return TruncatedTask.joined(self.known, each, self._states[rows], frontier)
+    def _part(self, places: Ints, expanded: NDArray[np.bool_], copies: int = 0) -> Part:
+        """Return the states of some places; choices are in those that are `expanded`, and lead to none of the first."""
+        offsets, targets, actions, optimal = self.choices(places, expanded)
+        order = np.argsort(places[copies:])
+        to = copies + order[np.searchsorted(places[copies:], targets, sorter=order)]
+        rows, goal, h = Transitions(offsets, actions, to), self.goal[places], self.h[places]
+        each = [
+            Choices(
+                h[:, number], reached, *padded(self._first_goal, rows, best, expanded & ~reached),
+                self._first_goal.task.actions, key=self._key[places],
+            )
+            for number, (reached, best) in enumerate(zip(goal.T, optimal.T, strict=True))
+        ]  # fmt: skip
+        return Part(each, self._states[places], np.flatnonzero(~expanded), rows)
 
 
 class _Rows:

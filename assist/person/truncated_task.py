@@ -25,7 +25,7 @@ policy for all goals, so that its value is the mean of its values for each.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,6 +47,7 @@ from .frontier_bounds import CostLevels, Survey, advised, never_erring, never_er
 from .leaf_bounds import LeafBounds
 from .likely_states import Growth
 from .robots import EXECUTION, NOTHING_DONE, OfRobots
+from .state_cache import NONE, Part, StateCache
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are expanded together, between two looks at the clock
 
@@ -115,35 +116,51 @@ class TruncatedTask:
             Called with the number of states that were expanded since the last call.
         """
         start = first_of(known).initial if start is None else start
-        growth = Growth(known, Grid.regular(population or Population()).beta, start, human)
+        seen = StateCache(known)
+        growth = Growth(seen, Grid.regular(population or Population()).beta, start, human)
         begun, batch = time.monotonic(), BATCH["on-demand" if first_of(known).searches else "sweep"]
-        while growth.expanded < states and (time_limit is None or time.monotonic() - begun < time_limit):
-            done = growth.step(min(batch, states - growth.expanded))
+        while len(growth.expanded) < states and (time_limit is None or time.monotonic() - begun < time_limit):
+            done = growth.step(min(batch, states - len(growth.expanded)))
             if not done:
                 break
             if progress is not None:
                 progress(done)
-        each, at, cut, rows = growth.found()
-        found = cls.joined(known, each, at, cut)
+        part = seen.every()
+        found = cls._of_part(known, part)
         if among is None or among is known:
             return found
-        offered = np.zeros_like(found.choices.optimal)
-        offered[found.choices.applicable & (found.choices.actions != WAIT)] = optimal_for_each(among, at, rows).any(
-            axis=1
-        )
+        offered, rows = np.zeros_like(found.choices.optimal), part.rows
+        best = optimal_for_each(among, part.states, rows._replace(targets=part.states[rows.targets])).any(axis=1)
+        offered[found.choices.applicable & (found.choices.actions != WAIT)] = best
         return replace(found, choices=replace(found.choices, offered=offered))
 
     @classmethod
-    def joined(
-        cls, known: CostToGo | Goals, each: Sequence[Choices], states: NDArray[np.int64], cut: NDArray[np.int64]
-    ) -> TruncatedTask:
-        """Return a truncated task with the choices of each goal in some states, shape (m,).
+    def around(
+        cls, seen: StateCache, states: NDArray[np.int64], *, then: NDArray[np.int64] = NONE, ahead: bool = False,
+        advice_is_optimal: bool = True,
+    ) -> TruncatedTask:  # fmt: skip
+        """Return a truncated task of the given states, with their successors as the frontier.
 
-        `cut` are the indices of states without known choices. They are the frontier, except where all goals are
-        reached.
+        Parameters
+        ----------
+        seen : StateCache
+            The task, with what is known of it.
+        states : int array, shape (N,)
+            Their numbers. They are the first states, in this order, and a state may occur twice.
+        then : int array, shape (M,)
+            Successor states that are expanded as well, so that they are not on the frontier.
+        ahead : bool
+            Whether all successors after a suggestion are expanded, too.
+        advice_is_optimal : bool
+            Whether only optimal actions are suggested, or all.
         """
-        choices = memory_of(known).with_terms(joined(known, each), states)
-        return cls(known, choices, states, cut[~choices.goal[cut]])
+        return cls._of_part(seen.known, seen.around(states, then, ahead=ahead, advice_is_optimal=advice_is_optimal))
+
+    @classmethod
+    def _of_part(cls, known: CostToGo | Goals, part: Part) -> TruncatedTask:
+        """Return the truncated task of a part; its frontier is that of the part where not all goals are reached."""
+        choices, frontier = memory_of(known).with_terms(joined(known, part.each), part.states), part.frontier
+        return cls(known, choices, part.states, frontier[~choices.goal[frontier]])
 
     def for_robot(self, robot: OfRobots) -> TruncatedTask:
         """Return the task with rows in which a person acts after this robot has executed an action at the frontier.

@@ -26,6 +26,7 @@ from ..person.person_problem import is_whole
 from ..person.qmdp import qmdp
 from ..person.solution_cache import SolutionCache
 from ..person.state_cache import StateCache
+from ..person.truncated_task import TruncatedTask
 from ..team.episodes import Episodes
 from ..team.policies import UserPolicy
 from ..team.pool import Pool
@@ -162,7 +163,7 @@ def _part(task: CostToGo | Choices) -> tuple[Choices, LeafBounds | None]:
     """Return the task's choices, or those of a small truncated problem, for checking a setting."""
     if isinstance(task, Choices):
         return task, None
-    region = StateCache(task).around(np.array([task.initial]))
+    region = TruncatedTask.around(StateCache(task), np.array([task.initial]))
     bound = np.zeros(len(region.frontier))
     return region.choices, LeafBounds(region.frontier, np.zeros((len(bound), 1, 2)), bound[:, None, None])
 
