@@ -38,8 +38,8 @@ ROOMS = {
         action_names signals""",
     "assist.person": """ties leaf_bounds behaviour evidence observation_model robots fleet travel settings
         robot_actions trust_shares pomdp each_goal assumptions visiting_robot problem_arrays people_arrays
-        random_kinds rows rounding action_values krylov sparse_iteration policy_iteration mdp_values
-        problem_rows policy rows_of_people lazy_policy archive belief_filter belief_update dynamics_kernel
+        random_kinds rows rounding action_values krylov belief_update sparse_iteration policy_iteration mdp_values
+        problem_rows policy rows_of_people lazy_policy archive belief_filter dynamics_kernel
         dynamics joint_belief beliefs seen_beliefs hidden_beliefs expected_values qmdp solution_cache
         alpha_vectors upper_hull convex_bound belief_hulls vector_lists hsvi search memory_needed
         further_beliefs solver time_expansion subproblem_frontier attention_subproblem frontier_bounds

@@ -29,11 +29,11 @@ def whole(name: str, value: object, least: int = 0) -> int:
     return number
 
 
-def wholes(name: str, values: ArrayLike, least: int = 0) -> NDArray[np.int64]:
-    """Return values as an int array."""
+def wholes(name: str, values: ArrayLike) -> NDArray[np.int64]:
+    """Return values of 0 or more as an int array."""
     array = np.asarray(values)
-    if array.dtype.kind not in "iu" or (array < least).any() or (array > np.iinfo(np.int64).max).any():
-        raise ValueError(f"{name} {values!r}: expected whole numbers of {least} or more")
+    if array.dtype.kind not in "iu" or (array < 0).any() or (array > np.iinfo(np.int64).max).any():
+        raise ValueError(f"{name} {values!r}: expected whole numbers of 0 or more")
     return array.astype(np.int64)
 
 

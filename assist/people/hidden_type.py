@@ -15,7 +15,7 @@ What is about goals in particular stands here, or in `type_kernels` for compiled
   (`person.belief_update.without_reached`; in compiled code `type_kernels.leave_out_reached`).
 - A mistake is an action that is optimal for no goal that is still possible (`type_kernels.is_mistake`).
 - QMDP counts the goal as known from the next step on, so that waiting seems too good. The robot therefore acts on
-  sharper probabilities of goals, or on the most probable goal alone (`HiddenType.acting`).
+  sharper probabilities of goals, or on the most probable goal alone (`HiddenType.acted_on`).
 - What is known for each goal is averaged over the goals (`mean_over_goals`).
 - Whether there is anything to know or to ask about goals is `several`, and nothing else counts them.
 
@@ -194,7 +194,7 @@ class HiddenType:
         """Return beliefs, shape (..., H, T), times the likelihood of each goal, shape (..., G); not normalised."""
         return np.asarray(belief * likelihood[..., self.goal_of, None])
 
-    def acting(self, belief: Floats) -> Floats:
+    def acted_on(self, belief: Floats) -> Floats:
         """Return the beliefs, shape (..., H, T), on which the robot acts; for one goal they are the same."""
         return self.given_likeliest(belief) if self.assume_likeliest else self.sharpened(belief)
 

@@ -25,36 +25,36 @@ IMPOSSIBLE = "an action has probability 0 under the belief; a lapse rate above 0
 
 
 def update_readable(
-    rows: Ints, acts: Acts, belief: Floats, erred: Bools, optimal: Bools, possible: Floats, m: ProblemArrays
+    people: Ints, acts: Acts, belief: Floats, erred: Bools, optimal: Bools, possible: Floats, m: ProblemArrays
 ) -> None:
     """Update the beliefs in people of one model who have acted: the definition of `Beliefs.update`.
 
     Parameters
     ----------
-    rows : int array, shape (m,)
-        Numbers of the people.
+    people : int array, shape (m,)
+        Their numbers.
     acts : Acts
-        What they did: one entry for each of `rows`, in their order.
+        What they did: one entry for each of these, in their order.
     belief, erred : float and bool arrays, shapes (P, H, T) and (P,)
         The beliefs, which change, and whether the last action was a mistake; without rows for no beliefs.
     optimal, possible
         As in `PersonModel`.
     m : ProblemArrays
     """
-    erred[rows] = False
+    erred[people] = False
     acted = np.flatnonzero(acts.slot != NOTHING)
-    rows, (x, heard, slot, goes_on) = rows[acted], acts.of(acted)
-    if not len(rows):
+    people, (x, heard, slot, goes_on) = people[acted], acts.of(acted)
+    if not len(people):
         return
     acting = m.afterstate[x, heard]
-    known = belief[rows] if len(belief) else possible[None]
-    erred[rows] = mistaken(optimal[acting, slot], known, acting, m)
+    known = belief[people] if len(belief) else possible[None]
+    erred[people] = mistaken(optimal[acting, slot], known, acting, m)
     if not len(belief):
         return
     after, y = updated(known, x, heard, slot, m), m.targets[acting, slot]
     on = np.flatnonzero(goes_on & m.goal[:, y].any(axis=0))
     after[on] = without_reached(after[on], y[on], m)
-    belief[rows] = after
+    belief[people] = after
 
 
 def in_order(terms: Floats) -> Floats:

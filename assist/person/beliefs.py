@@ -106,11 +106,11 @@ class Beliefs(Protocol):
         """
         ...
 
-    def update(self, rows: Ints, acts: Acts, model: PersonModel) -> None:
+    def update(self, people: Ints, acts: Acts, model: PersonModel) -> None:
         """Update the beliefs in some people of one model, shape (m,), by actions that were seen as they are."""
         ...
 
-    def moved(self, rows: Ints, low: Ints, weight: Floats) -> None:
+    def moved(self, people: Ints, low: Ints, weight: Floats) -> None:
         """Move theta of some people, shape (m,), whose states are known, as `people.belief.moved` does."""
         ...
 
@@ -131,15 +131,15 @@ class Beliefs(Protocol):
         """
         ...
 
-    def expected(self, ask: Ask, policy: Policy, rows: Ints) -> Floats:
+    def expected(self, ask: Ask, policy: Policy, people: Ints) -> Floats:
         """Return the answers about some people of one policy, shape (m, W), expected over what is uncertain.
 
         Parameters
         ----------
         ask : Ask
         policy : Policy
-        rows : int array, shape (m,)
-            Ascending numbers of the people.
+        people : int array, shape (m,)
+            Their numbers, ascending.
         """
         ...
 

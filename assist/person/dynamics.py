@@ -20,26 +20,26 @@ from .people_arrays import Minds, PeopleArrays
 from .problem_arrays import ProblemArrays
 
 
-def act_readable(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
-    """Let the people of some rows, all of one model, act once: the definition in numpy."""
-    x, heard, goal = people.x[rows], people.heard[rows], minds.goal[people.who[rows]]
+def act_readable(people: NDArray[np.int64], them: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
+    """Let some people, all of one model, act once: the definition in numpy."""
+    x, heard, goal = them.x[people], them.heard[people], minds.goal[them.who[people]]
     done = m.goal[goal, m.afterstate[x, heard]]
-    stay = rows[done]
-    people.x[stay], people.slot[stay] = m.afterstate[x[done], heard[done]], NOTHING
-    people.cost[stay] = 0.0
-    rows, x, heard, goal = rows[~done], x[~done], heard[~done], goal[~done]
-    if not len(rows):
+    stay = people[done]
+    them.x[stay], them.slot[stay] = m.afterstate[x[done], heard[done]], NOTHING
+    them.cost[stay] = 0.0
+    people, x, heard, goal = people[~done], x[~done], heard[~done], goal[~done]
+    if not len(people):
         return
-    theta, who = people.theta[rows], people.who[rows]
+    theta, who = them.theta[people], them.who[people]
     acting, suggestion = m.afterstate[x, heard], m.suggested[x, heard]
     counts, slots = m.counts[acting, None], np.arange(m.chosen.shape[1])
     p = np.where(slots < counts, minds.p[who, acting], 0.0)
-    slot = drawn_slots(influenced(p, suggestion, theta), counts, minds.lapse, people.uniform[rows, 0])
+    slot = drawn_slots(influenced(p, suggestion, theta), counts, minds.lapse, them.uniform[people, 0])
     y = m.targets[acting, slot]
-    people.slot[rows], people.cost[rows] = slot, m.costs[acting, slot]
+    them.slot[people], them.cost[people] = slot, m.costs[acting, slot]
     advised = np.flatnonzero(suggestion >= 0)
-    _trust(advised, rows, x, heard, slot == suggestion, people, minds, m)
-    people.x[rows] = y
+    _trust(advised, people, x, heard, slot == suggestion, them, minds, m)
+    them.x[people] = y
 
 
 def influenced(p: Floats, suggestion: NDArray[np.int64], theta: Floats) -> Floats:
@@ -84,32 +84,32 @@ def drawn_slots(p: Floats, counts: NDArray[np.int64], lapse: float, uniform: Flo
 
 
 def _trust(
-    advised: NDArray[np.int64], rows: NDArray[np.int64], x: NDArray[np.int64], heard: NDArray[np.int64],
-    followed: NDArray[np.bool_], people: PeopleArrays, minds: Minds, m: ProblemArrays,
+    advised: NDArray[np.int64], people: NDArray[np.int64], x: NDArray[np.int64], heard: NDArray[np.int64],
+    followed: NDArray[np.bool_], them: PeopleArrays, minds: Minds, m: ProblemArrays,
 ) -> None:  # fmt: skip
-    """Update theta of the people who got a suggestion, given by their places in `rows`."""
-    rows, x, heard = rows[advised], x[advised], heard[advised]
-    theta, outcomes = people.theta[rows], people.outcomes[rows]
+    """Update theta of the people who got a suggestion, given by their places in `people`."""
+    people, x, heard = people[advised], x[advised], heard[advised]
+    theta, outcomes = them.theta[people], them.outcomes[people]
     if minds.on_grid:
         each = int(np.argmin(np.append(np.diff(m.theta) > 0, False))) + 1  # thetas repeat for each count of outcomes
         t = outcomes * each + np.searchsorted(m.theta[:each], theta)
         answers = followed[advised]
-        at = x, heard, minds.goal[people.who[rows]], t
+        at = x, heard, minds.goal[them.who[people]], t
         low = np.where(answers, m.followed_low[at], m.low[at])
         up = np.where(answers, m.followed_weight[at], m.weight[at])
-        after = low + (people.uniform[rows, 1] < up)
-        people.theta[rows], people.outcomes[rows] = m.theta[after], after // each
+        after = low + (them.uniform[people, 1] < up)
+        them.theta[people], them.outcomes[people] = m.theta[after], after // each
         return
-    who = people.who[rows]
+    who = them.who[people]
     before, expected = minds.value[who, x], minds.value[who, m.targets[x, m.suggested[x, heard]]]
-    gain = np.subtract(expected, before, out=np.zeros(len(rows)), where=before != expected)
+    gain = np.subtract(expected, before, out=np.zeros(len(people)), where=before != expected)
     if minds.eta != 0.0:
-        people.theta[rows] = np.where(gain == 0.0, theta, np.clip(theta + minds.eta * gain, 0.0, 1.0))
+        them.theta[people] = np.where(gain == 0.0, theta, np.clip(theta + minds.eta * gain, 0.0, 1.0))
 
 
-def _work(rows: NDArray[np.int64], _people: PeopleArrays, minds: Minds, _: ProblemArrays) -> float:
+def _work(people: NDArray[np.int64], _them: PeopleArrays, minds: Minds, _: ProblemArrays) -> float:
     """Return the work of `act_readable`, in nanoseconds."""
-    return 60_000 + len(rows) * 60 * minds.p.shape[2]
+    return 60_000 + len(people) * 60 * minds.p.shape[2]
 
 
 act = ReadableFirst(act_readable, act_compiled, _work)

@@ -14,42 +14,42 @@ from .problem_arrays import ProblemArrays
 
 
 @njit(nogil=True)
-def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
-    """Let the people of some rows, all of one model, act once."""
+def act_compiled(people: NDArray[np.int64], them: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
+    """Let some people, all of one model, act once."""
     p = np.empty(m.chosen.shape[1])
     each = 1  # number of values of theta; they are repeated for each count of outcomes
     while each < len(m.theta) and m.theta[each] > m.theta[each - 1]:
         each += 1
-    for i in rows:
-        x, heard, theta = people.x[i], people.heard[i], people.theta[i]
+    for i in people:
+        x, heard, theta = them.x[i], them.heard[i], them.theta[i]
         acting, suggestion = m.afterstate[x, heard], m.suggested[x, heard]
-        g = minds.goal[people.who[i]]
+        g = minds.goal[them.who[i]]
         if m.goal[g, acting]:
-            people.x[i], people.slot[i], people.cost[i] = acting, -1, 0.0
+            them.x[i], them.slot[i], them.cost[i] = acting, -1, 0.0
             continue
         count = m.counts[acting]
-        unaided = minds.p[people.who[i], acting]
+        unaided = minds.p[them.who[i], acting]
         for a in range(count):
             p[a] = unaided[a]
         if suggestion >= 0:
             weigh_by_influence(p, count, suggestion, theta)
-        slot = _draw(p, count, minds.lapse, people.uniform[i, 0])
+        slot = _draw(p, count, minds.lapse, them.uniform[i, 0])
         y = m.targets[acting, slot]
-        people.slot[i], people.cost[i] = slot, m.costs[acting, slot]
+        them.slot[i], them.cost[i] = slot, m.costs[acting, slot]
         if suggestion >= 0:
             if minds.on_grid:
-                t = people.outcomes[i] * each + np.searchsorted(m.theta[:each], theta)
+                t = them.outcomes[i] * each + np.searchsorted(m.theta[:each], theta)
                 low, up = m.low[x, heard, g, t], m.weight[x, heard, g, t]
                 if slot == suggestion:
                     low, up = m.followed_low[x, heard, g, t], m.followed_weight[x, heard, g, t]
-                after_it = low + (people.uniform[i, 1] < up)
-                people.theta[i], people.outcomes[i] = m.theta[after_it], after_it // each
+                after_it = low + (them.uniform[i, 1] < up)
+                them.theta[i], them.outcomes[i] = m.theta[after_it], after_it // each
             else:
-                value = minds.value[people.who[i]]
+                value = minds.value[them.who[i]]
                 before, expected = value[x], value[m.targets[x, suggestion]]
                 gain = 0.0 if before == expected else expected - before
-                people.theta[i] = update_trust(theta, minds.eta, gain)
-        people.x[i] = y
+                them.theta[i] = update_trust(theta, minds.eta, gain)
+        them.x[i] = y
 
 
 @njit()

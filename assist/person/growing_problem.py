@@ -214,7 +214,7 @@ class GrowingProblem(ProblemRows):
         table, counts = self.values(name, backup, x)
         positions, hidden = table.shape[1], self.first.hidden
         flat = table.reshape(len(table) * positions, *table.shape[2:])
-        return expected(flat, counts.reshape(-1), x * positions + position, hidden.acting(belief))
+        return expected(flat, counts.reshape(-1), x * positions + position, hidden.acted_on(belief))
 
     def values(self, name: str, backup: Backup, x: Ints) -> tuple[Floats, Ints]:
         """Return Q-values of all rows so far, shape (n, P, R, H, T), known in those of `x`, and numbers of actions."""

@@ -17,7 +17,7 @@ from ..people.belief import ImpossibleObservationError
 from ..people.decision import Floats
 from .beliefs import Ask, Groups, PersonModel
 from .evidence import Evidence
-from .joint_belief import JointBelief, expected_answers, said_in, same_suggestions
+from .joint_belief import LEAST, JointBelief, expected_answers, said_in, same_suggestions
 from .observation_model import ObservationModel
 from .policy import Policy
 from .pomdp import AssistPOMDP
@@ -61,33 +61,33 @@ class Hidden(Seen):
     def observe(self, acts: Acts, said: Ints, groups: Groups, draw: Callable[[int], Floats]) -> None:
         """Update the beliefs in those who go on, as in `Beliefs`; the robot sees who has reached their goal."""
         uniform = np.stack([draw(Kind.MISSED), draw(Kind.TAKEN_FOR)], axis=1)
-        for model, people in groups:
-            rows = people[(acts.slot[people] >= 0) & acts.goes_on[people]]
-            words = np.take_along_axis(said_in(model.pomdp, self.x[rows]), said[rows, None], axis=1)[:, 0]
+        for model, theirs in groups:
+            people = theirs[(acts.slot[theirs] >= 0) & acts.goes_on[theirs]]
+            words = np.take_along_axis(said_in(model.pomdp, self.x[people]), said[people, None], axis=1)[:, 0]
             seen = [
-                self.sight.draw(model.choices, int(acts.x[n]), int(acts.slot[n]), uniform[n]) for n in rows.tolist()
+                self.sight.draw(model.choices, int(acts.x[n]), int(acts.slot[n]), uniform[n]) for n in people.tolist()
             ]
-            self.update_by(rows, words, [InOneStep(self.sight.evidence(model.choices, one)) for one in seen], model)
+            self.update_by(people, words, [InOneStep(self.sight.evidence(model.choices, one)) for one in seen], model)
 
-    def update(self, rows: Ints, acts: Acts, model: PersonModel) -> None:
+    def update(self, people: Ints, acts: Acts, model: PersonModel) -> None:
         """Update the beliefs by actions that were seen, as in `Beliefs`, also where the state before was uncertain."""
-        uncertain = np.array([k in self.joints for k in rows.tolist()], dtype=bool)
+        uncertain = np.array([k in self.joints for k in people.tolist()], dtype=bool)
         if not uncertain.any():
-            super().update(rows, acts, model)
+            super().update(people, acts, model)
             return
-        super().update(rows[~uncertain], acts.of(np.flatnonzero(~uncertain)), model)
+        super().update(people[~uncertain], acts.of(np.flatnonzero(~uncertain)), model)
         at, actions = np.flatnonzero(uncertain), model.choices.actions
         x, heard, slot = acts.x[at], acts.heard[at], acts.slot[at]
         words = np.take_along_axis(said_in(model.pomdp, x), heard[:, None], axis=1)[:, 0]
         seen = [Reported(Evidence.of(model.choices, {action: 1.0})) for action in actions[x, slot].tolist()]
-        self.update_by(rows[at], words, seen, model)
+        self.update_by(people[at], words, seen, model)
 
-    def update_by(self, rows: Ints, said: Ints, evidence: Sequence[Glimpse], model: PersonModel) -> None:
+    def update_by(self, people: Ints, said: Ints, evidence: Sequence[Glimpse], model: PersonModel) -> None:
         """Update the beliefs in some people of one model by what was seen of their actions.
 
         Parameters
         ----------
-        rows : int array, shape (m,)
+        people : int array, shape (m,)
         said : int array, shape (m,)
             The ground action that was suggested before; `NOTHING` for none.
         evidence : sequence of Glimpse
@@ -99,7 +99,7 @@ class Hidden(Seen):
         ImpossibleObservationError
             What was seen has probability 0.
         """
-        for k, words, glimpse in zip(rows.tolist(), said.tolist(), evidence, strict=True):
+        for k, words, glimpse in zip(people.tolist(), said.tolist(), evidence, strict=True):
             self._put(k, glimpse.after(self.joint(k, model.policy), words, model.policy), model.policy)
 
     def _put(self, person: int, joint: JointBelief, policy: Policy) -> None:
@@ -114,15 +114,15 @@ class Hidden(Seen):
         else:
             self._put(person, self.joints[person].told(likelihood), policy)
 
-    def expected(self, ask: Ask, policy: Policy, rows: Ints) -> Floats:
+    def expected(self, ask: Ask, policy: Policy, people: Ints) -> Floats:
         """Return the answers about some people, as in `Beliefs`.
 
         They are expected values over the possible states (QMDP). A suggestion is one that is applicable in the most
         probable state. Where it is not applicable, it costs the same and has no effect.
         """
-        if not self.joints or not any(k in self.joints for k in rows.tolist()):
-            return super().expected(ask, policy, rows)
-        return expected_answers(ask, policy, self.x[rows], [self.joint(k, policy) for k in rows.tolist()])
+        if not self.joints or not any(k in self.joints for k in people.tolist()):
+            return super().expected(ask, policy, people)
+        return expected_answers(ask, policy, self.x[people], [self.joint(k, policy) for k in people.tolist()])
 
     def finished(self, person: int, policy: Policy) -> float:
         """Return the probability that a person has reached their goal, as in `Beliefs`."""
@@ -132,9 +132,9 @@ class Hidden(Seen):
     def heard(self, robot: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
         """Return what people hear, as in `Beliefs`; nothing, where the suggested action is not applicable."""
         there = np.zeros_like(robot)
-        for pomdp, rows in groups:
-            same = same_suggestions(pomdp, self.x[rows], x[rows])
-            there[rows] = np.take_along_axis(same, robot[rows, None], axis=1)[:, 0]
+        for pomdp, people in groups:
+            same = same_suggestions(pomdp, self.x[people], x[people])
+            there[people] = np.take_along_axis(same, robot[people, None], axis=1)[:, 0]
         return there
 
     def joint(self, person: int, policy: Policy) -> JointBelief:
@@ -203,4 +203,4 @@ class PerhapsMissed:
     def after(self, joint: JointBelief, said: int, policy: Policy) -> JointBelief:
         """Return the belief after it, as in `Glimpse`."""
         acted = joint.after(Evidence.none(policy.pomdp.model.choices), said, policy)
-        return joint.mixed(acted, self.probability).without(1e-6)
+        return joint.mixed(acted, self.probability).without(LEAST)

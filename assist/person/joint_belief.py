@@ -29,6 +29,9 @@ from .problem_arrays import ProblemArrays
 
 Ints = NDArray[np.int64]
 
+LEAST = 1e-6
+"""Probability below which a state is left out. It keeps some tens of states in a task of a thousand."""
+
 
 @dataclass(frozen=True, eq=False)
 class JointBelief:
@@ -79,7 +82,7 @@ class JointBelief:
         return np.asarray(self.joint.sum(axis=0))
 
     def after(
-        self, evidence: Evidence, suggestion: int, policy: Policy, *, least: float = 1e-6, works: bool = False
+        self, evidence: Evidence, suggestion: int, policy: Policy, *, least: float = LEAST, works: bool = False
     ) -> JointBelief:
         """Return the belief after the person has acted once.
 
@@ -95,7 +98,7 @@ class JointBelief:
         policy : Policy
             The policy for the person, which has their problem.
         least : float
-            States of a lower probability are left out. The default keeps some tens of states in a task of a thousand.
+            States of a lower probability are left out.
         works : bool
             Whether the person is known not to have reached the goal by this action.
 
@@ -118,9 +121,7 @@ class JointBelief:
             raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
         return JointBelief(policy.places(to), joint / total, float(erred / total), self.pruned, total).without(least)
 
-    def after_some(
-        self, evidence: Evidence, suggestion: int, policy: Policy, *, miss: float, least: float = 1e-6
-    ) -> JointBelief:
+    def after_some(self, evidence: Evidence, suggestion: int, policy: Policy, *, miss: float) -> JointBelief:
         """Return the belief after something was seen, before which the person may have acted unseen.
 
         Each action is missed with probability `miss`, so that the number of unseen ones is geometric. The first action
@@ -131,46 +132,42 @@ class JointBelief:
         ImpossibleObservationError
             What was seen has probability zero.
         """
-        return self._seen(self._unseen(suggestion, policy, miss, least), evidence, policy, miss, least)
+        return self._seen(self._unseen(suggestion, policy, miss), evidence, policy, miss)
 
-    def after_each(
-        self, evidence: Evidence, suggestion: int, policy: Policy, *, miss: float, least: float = 1e-6
-    ) -> dict[int, JointBelief]:
+    def after_each(self, evidence: Evidence, suggestion: int, policy: Policy, *, miss: float) -> dict[int, JointBelief]:
         """Return what `after_some` does for each ground action that may have been taken, if it was that one."""
-        before, found = self._unseen(suggestion, policy, miss, least), dict[int, JointBelief]()
+        before, found = self._unseen(suggestion, policy, miss), dict[int, JointBelief]()
         rows = np.unique(np.concatenate([belief.rows(policy) for _, belief, _ in before]))
         choices = policy.pomdp.model.choices
         for action in np.unique(choices.actions[rows][choices.applicable[rows]]).tolist():
             with suppress(ImpossibleObservationError):
-                found[action] = self._seen(before, evidence._replace(only=action), policy, miss, least)
+                found[action] = self._seen(before, evidence._replace(only=action), policy, miss)
         return found
 
-    def _unseen(
-        self, suggestion: int, policy: Policy, miss: float, least: float
-    ) -> list[tuple[float, JointBelief, int]]:
+    def _unseen(self, suggestion: int, policy: Policy, miss: float) -> list[tuple[float, JointBelief, int]]:
         """Return the belief after each number of unseen actions, with its weight and the suggestion that is open."""
         found = [(1.0, self, suggestion)]
-        while (share := found[-1][0] * miss) >= least:
+        while (share := found[-1][0] * miss) >= LEAST:
             _, before, said = found[-1]
             unseen = Evidence.none(policy.pomdp.model.choices)
-            found.append((share, before.after(unseen, said, policy, least=least), NOTHING))
+            found.append((share, before.after(unseen, said, policy), NOTHING))
         return found
 
     @staticmethod
     def _seen(
-        before: Sequence[tuple[float, JointBelief, int]], evidence: Evidence, policy: Policy, miss: float, least: float
+        before: Sequence[tuple[float, JointBelief, int]], evidence: Evidence, policy: Policy, miss: float
     ) -> JointBelief:
         found, total = list[JointBelief](), 0.0
         for share, belief, suggestion in before:
             with suppress(ImpossibleObservationError):
-                seen = belief.after(evidence, suggestion, policy, least=least)
+                seen = belief.after(evidence, suggestion, policy)
                 total += share * seen.evidence
                 found = [found[0].mixed(seen, share * seen.evidence / total)] if found else [seen]
         if not found:
             raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
-        return replace(found[0].without(least), evidence=total * (1 - miss))
+        return replace(found[0].without(LEAST), evidence=total * (1 - miss))
 
-    def told(self, likelihood: Floats, *, least: float = 1e-6) -> JointBelief:
+    def told(self, likelihood: Floats) -> JointBelief:
         """Return the belief after an answer, whose likelihood has a shape that broadcasts with (S, H, T).
 
         Raises
@@ -182,7 +179,7 @@ class JointBelief:
         total = float(joint.sum())
         if not total > 0:
             raise ImpossibleObservationError("the answer is impossible")
-        return replace(self, joint=joint / total, evidence=total).without(least)
+        return replace(self, joint=joint / total, evidence=total).without(LEAST)
 
     def without(self, least: float) -> JointBelief:
         """Return the belief without states of a probability below `least`."""
@@ -217,9 +214,9 @@ class JointBelief:
         return JointBelief(places, joint, (1 - share) * self.erred + share * other.erred, pruned)
 
 
-def is_certain(probability: float, *, rounding: float = 1e-9) -> bool:
+def is_certain(probability: float) -> bool:
     """Return whether a sum of probabilities is 1, up to rounding."""
-    return probability > 1 - rounding
+    return probability > 1 - 1e-9
 
 
 def same_suggestions(pomdp: AssistPOMDP, of: Ints, there: Ints) -> Ints:

@@ -64,10 +64,10 @@ class QMDP(Policy):
         x : int array, shape (N,)
         belief : float array, shape (N, H, T)
         """
-        acting = self.pomdp.hidden.acting(belief)
+        weighed = self.pomdp.hidden.acted_on(belief)
         if is_small(self.pomdp):
-            return expected_of_few(self.q_mdp, self.pomdp.robot_actions, x, acting)
-        return expected(self.q_mdp, self.pomdp.robot_actions, x, acting)
+            return expected_of_few(self.q_mdp, self.pomdp.robot_actions, x, weighed)
+        return expected(self.q_mdp, self.pomdp.robot_actions, x, weighed)
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""

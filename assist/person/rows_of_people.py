@@ -16,23 +16,23 @@ from .pomdp import AssistPOMDP
 Ints = NDArray[np.int64]
 
 
-def by_model(model: Ints, rows: Ints, models: int) -> list[tuple[int, Ints]]:
+def by_model(model: Ints, people: Ints, models: int) -> list[tuple[int, Ints]]:
     """Return each model that occurs among some people, with the indices of its people.
 
     Parameters
     ----------
     model : int array, shape (N,)
         Model of each person.
-    rows : int array, shape (m,)
-        Indices of the people to consider.
+    people : int array, shape (m,)
+        Indices of those to consider.
     models : int
         Number of models.
     """
     if models == 1:  # no sorting is necessary
-        return [(0, rows)] if len(rows) else []
-    own = model[rows]
+        return [(0, people)] if len(people) else []
+    own = model[people]
     order = own.astype(np.uint16 if models <= 2**16 else np.int64).argsort(kind="stable")  # fast for small numbers
-    ends, grouped = np.bincount(own, minlength=models).cumsum().tolist(), rows[order]
+    ends, grouped = np.bincount(own, minlength=models).cumsum().tolist(), people[order]
     return [(number, grouped[at:end]) for number, (at, end) in enumerate(pairwise([0, *ends])) if at < end]
 
 

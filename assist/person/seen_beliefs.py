@@ -49,17 +49,17 @@ class Seen:
     def observe(self, acts: Acts, said: Ints, groups: Groups, draw: Callable[[int], Floats]) -> None:
         """Update the beliefs, as in `Beliefs`."""
         del said, draw
-        for model, rows in groups:
-            self.update(rows, acts.of(rows), model)
+        for model, people in groups:
+            self.update(people, acts.of(people), model)
 
-    def update(self, rows: Ints, acts: Acts, model: PersonModel) -> None:
+    def update(self, people: Ints, acts: Acts, model: PersonModel) -> None:
         """Update the beliefs by actions that were seen, as in `Beliefs`."""
-        _update(rows, acts, self.belief, self.erred, model.optimal, model.possible, model.arrays)
+        _update(people, acts, self.belief, self.erred, model.optimal, model.possible, model.arrays)
 
-    def moved(self, rows: Ints, low: Ints, weight: Floats) -> None:
+    def moved(self, people: Ints, low: Ints, weight: Floats) -> None:
         """Move theta of some people, as in `Beliefs`."""
         if len(self.belief):
-            self.belief[rows] = moved(self.belief[rows], low, weight)
+            self.belief[people] = moved(self.belief[people], low, weight)
 
     def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
         """Update a belief by an answer, as in `Beliefs`."""
@@ -70,13 +70,13 @@ class Seen:
             raise ImpossibleObservationError("the answer is impossible; expected an error rate above 0")
         self.belief[person] = joint / total
 
-    def expected(self, ask: Ask, policy: Policy, rows: Ints) -> Floats:
+    def expected(self, ask: Ask, policy: Policy, people: Ints) -> Floats:
         """Return the answers about some people, as in `Beliefs`."""
         if not len(self.belief):
             raise ValueError("the policy has said that it uses no beliefs")
-        if len(rows) == len(self.x):  # all of them, so that nothing needs to be copied
+        if len(people) == len(self.x):  # all of them, so that nothing needs to be copied
             return ask(policy, self.x, self.belief)
-        return ask(policy, self.x[rows], self.belief.take(rows, axis=0))  # faster than by an index
+        return ask(policy, self.x[people], self.belief.take(people, axis=0))  # faster than by an index
 
     def finished(self, person: int, policy: Policy) -> float:
         """Return the probability that a person has reached their goal, as in `Beliefs`."""
@@ -105,9 +105,9 @@ class Seen:
         return found
 
 
-def _work(rows: Ints, _acts: Acts, belief: Floats, *_: object) -> float:
+def _work(people: Ints, _acts: Acts, belief: Floats, *_: object) -> float:
     """Return the work of `update_readable`, in nanoseconds."""
-    return 60_000 + len(rows) * 20 * (belief[0].size if len(belief) else 1)
+    return 60_000 + len(people) * 20 * (belief[0].size if len(belief) else 1)
 
 
 _update = ReadableFirst(update_readable, update_seen, _work)

@@ -35,10 +35,10 @@ def lookup_kind(known: CostToGo) -> str:
     return "orbits" if known.method == "on-demand" and not known.searches else known.method
 
 
-def default_size(known: CostToGo | Goals, *, least: int = 1_000) -> int:
-    """Return the number of states of a truncated task for each goal: a share of `REGION`, but at least `least`."""
+def default_size(known: CostToGo | Goals) -> int:
+    """Return the number of states of a truncated task for each goal: a share of `REGION`, but at least 1,000 of it."""
     one = REGION[lookup_kind(first_of(known))]
-    return max(one // len(each_of(known)), min(one, least))
+    return max(one // len(each_of(known)), min(one, 1_000))
 
 
 class SharedTask:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from . import krylov
+from .belief_update import factors_of
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
 from .rounding import rounding
@@ -119,7 +120,9 @@ class SparseBackup:
         told = np.flatnonzero(advised[pair])
         own = slot[told] == suggested[pair[told]]
         which = (np.cumsum(advised) - 1)[pair[told]]
-        followed, declined = _influence(m, x[advised], r[advised])
+        suggestion = x[advised], r[advised]
+        p, rest = m.chosen[acting[advised], suggested[advised]].T, m.unsuggested[suggestion].T
+        followed, declined = factors_of(m.theta, p[:, :, None], rest[:, :, None])
         chosen[:, told] *= np.where(own[:, None], followed[:, which], declined[:, which])
         if m.lapse > 0.0:
             chosen *= 1.0 - m.lapse
@@ -186,19 +189,6 @@ class SparseBackup:
         types, _, thetas = self.shape
         pair = self.first[:, None] + policy + (len(self.x) * np.arange(types))[:, None, None]
         return np.asarray(pair * thetas + np.arange(thetas))
-
-
-def _influence(m: ProblemArrays, x: Ints, r: Ints) -> tuple[Floats, Floats]:
-    """Return by how much a suggestion multiplies the chance of the suggested choice, and of the others (equation 6).
-
-    Both have the shape (H, suggestions, T).
-    """
-    p, rest = m.chosen[m.afterstate[x, r], m.suggested[x, r]].T[:, :, None], m.unsuggested[x, r].T[:, :, None]
-    total = m.theta * p + (1.0 - m.theta) * rest
-    one, other = (
-        np.divide(share, total, out=np.ones_like(total), where=total > 0.0) for share in (m.theta, 1.0 - m.theta)
-    )
-    return one, other
 
 
 def q_table(value: Floats, states: Ints, backup: SparseBackup, robots: int) -> Floats:

@@ -65,7 +65,7 @@ class StateCache:
         self._key = _Rows(np.uint64)
         # Offset of each state's choices in the lists of choices, and their number; -1: not expanded.
         self._first, self._count = _Rows(np.int64), _Rows(np.int64)
-        self._actions, self._targets, self._optimal = _Rows(np.int64), _Rows(np.int64), _Rows(np.bool_, goals)
+        self._actions, self._targets, self._optimal = _Rows(np.int32), _Rows(np.int64), _Rows(np.bool_, goals)
         self._lock = threading.RLock()
 
     def __len__(self) -> int:
@@ -131,14 +131,14 @@ class StateCache:
                 optimal = optimal_for_each(self.known, states, found)
                 self._first[unknown] = len(self._actions) + found.offsets[:-1]
                 self._count[unknown] = np.diff(found.offsets)
-                self._actions.add(np.asarray(found.actions, dtype=np.int64))
+                self._actions.add(found.actions)
                 self._targets.add(to)
                 self._optimal.add(optimal)
         return places
 
     def choices(
         self, places: Ints, among: NDArray[np.bool_] | bool = True
-    ) -> tuple[Ints, Ints, Ints, NDArray[np.bool_]]:
+    ) -> tuple[Ints, Ints, NDArray[np.int32], NDArray[np.bool_]]:
         """Return the m choices in some states, shape (N,), of those `among` them that are looked at: all by default.
 
         Returns

@@ -346,14 +346,14 @@ class _Person:
         return found.at(region.states)
 
 
-def likely(alone: AssistPOMDP, steps: int, most: int, *, advised: float = 0.3, horizon: int = 3) -> NDArray[np.bool_]:
+def likely(alone: AssistPOMDP, steps: int, most: int) -> NDArray[np.bool_]:
     """Return a mask of the `most` likeliest pairs of step and state, shape (steps + 1, n).
 
     The last row stands for all later steps. The probabilities are those of people who receive and follow an optimal
-    suggestion in a share `advised` of the steps. All optimal actions are equally likely then. In other steps people
-    choose without a suggestion. Visits are counted up to `horizon` times the number of steps.
+    suggestion in a share of the steps. All optimal actions are equally likely then. In other steps people choose
+    without a suggestion. Visits are counted up to three times the number of steps.
     """
-    choices = alone.model.choices
+    choices, advised = alone.model.choices, 0.3
     row, slot = np.nonzero(choices.applicable & ~alone.ends[:, None])
     target, optimal = choices.targets[row, slot], choices.optimal[row, slot].astype(float)
     optimal /= np.maximum(np.bincount(row, optimal, len(choices)), 1)[row]
@@ -362,7 +362,7 @@ def likely(alone: AssistPOMDP, steps: int, most: int, *, advised: float = 0.3, h
         follows = (1 - advised) * chosen[row, slot] + advised * optimal
         there = np.zeros(len(choices))
         there[choices.initial] = share
-        for step in range(horizon * steps):
+        for step in range(3 * steps):
             chance[min(step, steps)] += there
             there = np.bincount(target, there[row] * follows, len(choices)).astype(float)
     chance[:, alone.ends] = 0.0

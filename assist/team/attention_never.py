@@ -43,5 +43,5 @@ class AttentionAgainstNever(AttentionSwitching):
         return team.of_each(self._if_never)[:, None, :, 0]
 
     def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
-        acting = policy.pomdp.hidden.acting(belief)
-        return np.einsum("nht,nht->n", self.never[policy](x), acting)[:, None]
+        weighed = policy.pomdp.hidden.acted_on(belief)
+        return np.einsum("nht,nht->n", self.never[policy](x), weighed)[:, None]

@@ -473,11 +473,11 @@ def test_questions_are_asked_where_they_are_worth_their_cost() -> None:
 def test_sharper_probabilities_lie_between_the_posterior_and_the_likeliest_goal() -> None:
     belief = problem_of(three_goals("tiny")).prior[None]
     known = replace(problem_of(three_goals("tiny")).hidden, sharpness=1)
-    assert known.acting(belief) is belief
-    square = replace(known, sharpness=2).acting(belief)
+    assert known.acted_on(belief) is belief
+    square = replace(known, sharpness=2).acted_on(belief)
     np.testing.assert_allclose(known.marginal(square, "goal")[0], np.array([0.25, 0.04, 0.09]) / 0.38)
     sharp, likeliest = replace(known, sharpness=200), replace(known, assume_likeliest=True)
-    np.testing.assert_allclose(sharp.acting(belief), likeliest.acting(belief), atol=1e-12)
+    np.testing.assert_allclose(sharp.acted_on(belief), likeliest.acted_on(belief), atol=1e-12)
     with pytest.raises(ValueError, match="sharpness 0: expected a number from 1 upwards"):
         replace(three_goals("tiny"), sharpness=0)
 
