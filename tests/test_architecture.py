@@ -32,7 +32,7 @@ ROOMS = {
     "planner.batch": "results_folder solve_instance solve_batch",
     "planner": "engine",
     "assist.declare": "declared tables options catalogue refusals",
-    "assist.people": """arguments state_keys hidden_type slots choices misconception decision same_costs user_code
+    "assist.people": """hidden_type arguments state_keys slots choices misconception decision same_costs user_code
         goals terms memory memory_on_demand choice_model weighted_choice human ranges real_people spread belief
         influence_kernels type_kernels trust_rules neighbours neighbourhood sights theta_reach perceived_suggestions
         action_names signals""",
@@ -178,6 +178,25 @@ def test_the_map_has_a_sentence_for_each_room() -> None:
     for file, text in drawn_rooms.maps().items():
         assert file.read_text(encoding="utf-8") == text, "python tests/drawn_rooms.py writes it anew"
         assert max(map(len, text.splitlines())) <= 120 or file.suffix == ".md"
+
+
+def test_the_reading_list_is_as_short_as_it_says() -> None:
+    """The files of the two lists are there, and have at most as many lines as the page tells."""
+    page = (ROOT / "docs" / "contributing.md").read_text().partition("## A reading list")[2]
+    for begin, end, files in (
+        ("These 16 files", "What these use", 16),
+        ("From there to a certified", "Words have one", 8),
+    ):
+        text = begin + page.partition(begin)[2].partition(end)[0]
+        most = int(re.findall(r"at most ([\d,]+)", text)[0].replace(",", ""))
+        while "(" in text:  # what is said of a file may name others
+            text = re.sub(r"\([^()]*\)", "", text)
+        named = []
+        for line in re.findall(r"^- (?:.|\n )*", text, re.M):
+            folder = "".join(re.findall(r"^- `(assist/\w+/)`", line))
+            named += [folder + name for name in re.findall(r"`([\w/]+\.py)`", line)]
+        assert len(set(named)) == files
+        assert sum(len((ROOT / name).read_text().splitlines()) for name in named) <= most
 
 
 def test_files_that_pages_name_are_there() -> None:

@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.system.errors import expected
 
 from ..declare.declared import MOST as MOST
+from .hidden_type import Ints
 
 Seed = int | np.random.Generator
 """An integer of 0 or more, or a generator from which one is drawn."""
@@ -29,7 +30,7 @@ def whole(name: str, value: object, least: int = 0) -> int:
     return number
 
 
-def wholes(name: str, values: ArrayLike) -> NDArray[np.int64]:
+def wholes(name: str, values: ArrayLike) -> Ints:
     """Return values of 0 or more as an int array."""
     array = np.asarray(values)
     if array.dtype.kind not in "iu" or (array < 0).any() or (array > np.iinfo(np.int64).max).any():

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.system.arrays import frozen
 
-from .decision import Floats
+from .decision import Floats, Ints
 from .hidden_type import HiddenType
 from .ranges import Population
 from .spread import Cells, Spread
@@ -74,7 +74,7 @@ class Grid:
         return self.theta[: falls[0] + 1] if len(falls) else self.theta
 
     @property
-    def count(self) -> NDArray[np.int64]:
+    def count(self) -> Ints:
         """The number of outcomes that each grid point of theta belongs to, shape (T,)."""
         return np.arange(len(self.theta)) // len(self.values)
 
@@ -94,7 +94,7 @@ class Grid:
         """The cells of beta and theta."""
         return Cells.of(self.beta, (0.0, np.inf)), Cells.of(self.values, (0.0, 1.0))
 
-    def shares(self, theta: ArrayLike, count: ArrayLike = 0) -> tuple[NDArray[np.int64], Floats]:
+    def shares(self, theta: ArrayLike, count: ArrayLike = 0) -> tuple[Ints, Floats]:
         """Divide values of theta, with a number of outcomes each, between neighbouring grid points.
 
         Returns
@@ -139,7 +139,7 @@ class Grid:
         return beta[:, None] * theta[None, :]
 
 
-def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: Floats) -> Floats:
+def update(belief: Floats, likelihood: Floats, low: Ints, weight: Floats) -> Floats:
     """Return beliefs after an observation: Bayes' rule, followed by the trust update of theta.
 
     b'(h, theta') proportional to sum over theta of b(h, theta) P(a | x, r, h, theta) T(theta' | theta)
@@ -173,7 +173,7 @@ def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: F
     return moved(joint, low, weight)
 
 
-def moved(belief: Floats, low: NDArray[np.int64], weight: Floats) -> Floats:
+def moved(belief: Floats, low: Ints, weight: Floats) -> Floats:
     """Return beliefs, shape (N, H, T), after theta of each grid point has moved; other arguments as in `update`."""
     found = np.zeros_like(belief)
     low = np.broadcast_to(low if low.ndim == 3 else low[:, None], belief.shape)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from planner import AnyTask, Table, known_costs
 from planner.system.arrays import outline, read_only
 
-from .hidden_type import KNOWN, Bools, Floats, OfGoals
+from .hidden_type import KNOWN, Bools, Floats, Ints, OfGoals
 from .slots import WAIT as WAIT
 from .slots import padded
 from .state_keys import keys_of
@@ -72,21 +72,21 @@ class Choices:
         suggest what is optimal for another goal, if it does not know which one the person pursues.
     """
 
-    h: NDArray[np.float64]
-    goal: NDArray[np.bool_]
-    applicable: NDArray[np.bool_]
-    actions: NDArray[np.int64]
-    targets: NDArray[np.int64]
-    costs: NDArray[np.float64]
-    optimal: NDArray[np.bool_]
+    h: Floats
+    goal: Bools
+    applicable: Bools
+    actions: Ints
+    targets: Ints
+    costs: Floats
+    optimal: Bools
     names: tuple[str, ...]
     initial: int = 0
-    state: NDArray[np.int64] | None = None
+    state: Ints | None = None
     terms: tuple[str, ...] | None = None
-    features: NDArray[np.float64] | None = None
+    features: Floats | None = None
     key: NDArray[np.uint64] | None = None
     unknown_goal: OfGoals | None = None
-    offered: NDArray[np.bool_] | None = None
+    offered: Bools | None = None
 
     __repr__ = outline
 
@@ -139,7 +139,7 @@ class Choices:
         if self.goals.distinguished:
             raise ValueError(f"{what}: expected people whose goal is known, and there are {len(self.goals)} goals")
 
-    def of_rows(self, rows: NDArray[np.int64], **changed: Any) -> Choices:
+    def of_rows(self, rows: Ints, **changed: Any) -> Choices:
         """Return the choices in some rows, shape (m,), with other attributes where they are given.
 
         Numbers of successors stay as they are. Where rows have other numbers then, `targets` are among what is given.

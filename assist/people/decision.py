@@ -8,11 +8,12 @@ compiled code.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .choices import Choices
-
-Floats = NDArray[np.float64]
+from .hidden_type import Bools as Bools
+from .hidden_type import Floats as Floats
+from .hidden_type import Ints as Ints
 
 NOTHING = -1
 """No slot: nothing is suggested, executed or chosen."""
@@ -41,7 +42,7 @@ def perceived_value(choices: Choices, q: Floats) -> Floats:
     return np.where(choices.goal, 0.0, -q.min(axis=-1))
 
 
-def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike, bias: Floats | None = None) -> Floats:
+def choice(q: Floats, applicable: Bools, beta: ArrayLike, bias: Floats | None = None) -> Floats:
     """Return the Boltzmann policy of equation (5): P(a | x) proportional to exp(-beta Q(x, a) + bias(x, a)).
 
     Parameters
@@ -101,7 +102,7 @@ def influence(p: Floats, suggestion: ArrayLike, theta: ArrayLike) -> Floats:
     return np.where(heard, np.divide(weights, total, out=np.zeros_like(weights), where=total > 0), p)
 
 
-def lapse(p: Floats, applicable: NDArray[np.bool_], rate: float) -> Floats:
+def lapse(p: Floats, applicable: Bools, rate: float) -> Floats:
     """Return the mixture of a choice, shape (..., A), and a uniform one of weight `rate`.
 
     Parameters

@@ -11,12 +11,11 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import CostToGo, Table, Transitions, known_costs, optimal_choices
 
 from .choices import WAIT, Choices
-from .decision import Floats
+from .decision import Bools, Floats, Ints
 from .hidden_type import KNOWN, OfGoals, several
 
 if TYPE_CHECKING:
@@ -94,17 +93,17 @@ def known_task(task: CostToGo | Goals | AnyTask) -> CostToGo | Goals:
     return task if isinstance(task, Goals) else known_costs(task)
 
 
-def costs_to_go(task: CostToGo | Goals, states: NDArray[np.int64]) -> Floats:
+def costs_to_go(task: CostToGo | Goals, states: Ints) -> Floats:
     """Return the exact cost-to-go of states, shape (N,), for each goal: shape (N, G)."""
     return np.stack([known.lookup(states) for known in each_of(task)], axis=1)
 
 
-def goals_reached(task: CostToGo | Goals, states: NDArray[np.int64]) -> NDArray[np.bool_]:
+def goals_reached(task: CostToGo | Goals, states: Ints) -> Bools:
     """Return whether each goal is reached in states, shape (N,): shape (N, G)."""
     return np.stack([known.is_goal(states) for known in each_of(task)], axis=1)
 
 
-def optimal_for_each(task: CostToGo | Goals, states: NDArray[np.int64], rows: Transitions) -> NDArray[np.bool_]:
+def optimal_for_each(task: CostToGo | Goals, states: Ints, rows: Transitions) -> Bools:
     """Return whether each of m transitions is optimal for each goal, shape (m, G); see `planner.optimal_choices`."""
     return np.stack([optimal_choices(known, states, rows) for known in each_of(task)], axis=1)
 

@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import LimitError, Table
 
 from .choices import Choices
+from .decision import Floats
 from .goals import Goals, first_of, require_one_goal
-from .terms import NOTHING_YET, TERMS, Ints, Situation, Term, Vocabulary, features, goals_met
+from .hidden_type import Ints
+from .terms import NOTHING_YET, TERMS, Situation, Term, Vocabulary, features, goals_met
 
 BLOCK = 1 << 22
 """Number of values of terms that are computed at a time, which limits the memory to some tens of megabytes."""
@@ -116,7 +117,7 @@ class _Edges:
         self.last = np.append(plain.actions[states, slots], NOTHING_YET)
         self.words = Vocabulary.of(plain.names)
 
-    def features(self, to: Ints, came: Ints) -> NDArray[np.float64]:
+    def features(self, to: Ints, came: Ints) -> Floats:
         """Return the terms, shape (N, A, J), in states, shape (N,), after the choices that lead there, shape (N,)."""
         plain = self.plain
         step = max(1, BLOCK // (plain.applicable.shape[1] * max(1, len(self.terms))))

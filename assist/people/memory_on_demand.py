@@ -12,13 +12,15 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner import CostToGo, Transitions
 
 from .choices import Choices
+from .decision import Bools, Floats
 from .goals import Goals, first_of, require_one_goal
-from .terms import NOTHING_YET, TERMS, Ints, Situation, Vocabulary, features, goals_met
+from .hidden_type import Ints
+from .terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 
 
 def on_demand(task: CostToGo | Goals, names: Iterable[str]) -> CostToGo | Goals:
@@ -89,15 +91,15 @@ class Remembering(CostToGo):
         last = self.task.first_of_name[found.actions]
         return found._replace(targets=self._numbered(np.stack([found.targets, last, before], axis=1)))
 
-    def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
+    def is_goal(self, states: ArrayLike) -> Bools:
         """Return whether each pair's state is a goal state, shape (N,)."""
         return self.known.is_goal(self.state_of(states))
 
-    def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
+    def lookup(self, states: ArrayLike) -> Floats:
         """Return h* of pairs in the file's unit of cost, shape (N,)."""
         return self.known.lookup(self.state_of(states))
 
-    def whole(self, states: ArrayLike) -> NDArray[np.float64]:
+    def whole(self, states: ArrayLike) -> Floats:
         """Return h* of pairs as whole numbers, shape (N,)."""
         return self.known.whole(self.state_of(states))
 

@@ -16,12 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arguments import one_of
 from .choices import Choices
+from .hidden_type import Bools, Floats
 from .state_keys import mix
 
 Noise = Literal["state", "action"]
 
 
-def standard_normal(seed: int, keys: ArrayLike) -> NDArray[np.float64]:
+def standard_normal(seed: int, keys: ArrayLike) -> Floats:
     """Return a standard normal number for each key, a function of the seed and the key.
 
     Parameters
@@ -65,7 +66,7 @@ class Misconception:
         """Return a misconception whose seed is one number of a generator."""
         return cls(sigma, int(rng.integers(2**64, dtype=np.uint64)), noise)
 
-    def of(self, choices: Choices) -> NDArray[np.float64]:
+    def of(self, choices: Choices) -> Floats:
         """Return the perceived cost-to-go of each state, shape (n,), or after each choice, shape (n, A).
 
         The goal is recognised (0) and dead ends stay infinite.
@@ -82,16 +83,12 @@ class Misconception:
             return np.where(choices.goal[choices.targets], 0.0, after + self.sigma * eps)
         return self.of_states(choices.h, choices.goal, keys)
 
-    def of_states(
-        self, h: NDArray[np.float64], goal: NDArray[np.bool_], keys: NDArray[np.uint64]
-    ) -> NDArray[np.float64]:
+    def of_states(self, h: Floats, goal: Bools, keys: NDArray[np.uint64]) -> Floats:
         """Return the perceived cost-to-go of states with these keys, shape (n,), for a misconception about states."""
         return np.where(goal, 0.0, h + self.sigma * standard_normal(self.seed, keys))
 
 
-def perceived_cost_to_go(
-    choices: Choices, sigma: float, rng: np.random.Generator, noise: Noise = "state"
-) -> NDArray[np.float64]:
+def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generator, noise: Noise = "state") -> Floats:
     """Return a person's perceived cost-to-go of every state, shape (n,), or after every choice, shape (n, A).
 
     h(x) = h*(x) + sigma * eps(x) with eps standard normal is a lasting misconception. It is drawn once per person and

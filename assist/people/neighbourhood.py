@@ -19,18 +19,14 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.arrays import frozen
 
 from .belief import Grid
-from .decision import Floats
+from .decision import Bools, Floats, Ints
 from .hidden_type import mean_over_goals
 from .human import HumanModel
 from .neighbours import Neighbours, SeenEvent, SeenNothing, SeenRule, moves_theta
-
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 class Helped(NamedTuple):

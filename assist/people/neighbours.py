@@ -32,10 +32,7 @@ from ..declare.declared import MOST, DeclarationError, Expected, Number, Truth, 
 from .trust_rules import LEAST, Event, Feedback, TrustRule, counts_of
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from .decision import Floats
+    from .decision import Bools, Floats
 
 Range = tuple[float, float]
 Tried = tuple[tuple[float, ...], ...]
@@ -60,7 +57,7 @@ class SeenEvent:
     """
 
     gain: Floats
-    followed: NDArray[np.bool_]
+    followed: Bools
     weight: Floats
 
 

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .decision import Floats
+from .decision import Bools, Floats, Ints
 from .trust_rules import Event, Feedback, TrustRule, counts_of
 
 
-def moved(rule: TrustRule, theta: Floats, count: NDArray[np.int64], event: Event) -> tuple[Floats, NDArray[np.int64]]:
+def moved(rule: TrustRule, theta: Floats, count: Ints, event: Event) -> tuple[Floats, Ints]:
     """Return theta and the count of a rule after an event; the count stays 0 for rules without `counts`.
 
     It is the number of outcomes that the person has seen, unless the rule has a method `counted(count, event)`.
@@ -48,13 +47,11 @@ class PerceivedSuggestions:
     """
 
     gain: Floats
-    agrees: NDArray[np.bool_]
-    optimal: NDArray[np.bool_]
+    agrees: Bools
+    optimal: Bools
 
     @classmethod
-    def of(
-        cls, cost: Floats, least: Floats, before: Floats, after: Floats, optimal: NDArray[np.bool_]
-    ) -> PerceivedSuggestions:
+    def of(cls, cost: Floats, least: Floats, before: Floats, after: Floats, optimal: Bools) -> PerceivedSuggestions:
         """Evaluate suggestions; all arrays broadcast.
 
         Parameters
@@ -70,7 +67,7 @@ class PerceivedSuggestions:
             gain = np.where(before == after, 0.0, np.subtract(after, before))
         return cls(gain, np.asarray(cost <= least), np.asarray(optimal))
 
-    def event(self, followed: NDArray[np.bool_] | bool, feedback: Feedback) -> Event:
+    def event(self, followed: Bools | bool, feedback: Feedback) -> Event:
         """Return the event of these suggestions, followed or not, with what people see of the outcome."""
         followed = np.asarray(followed)
         right = self.optimal if feedback == "true" else self.gain > 0

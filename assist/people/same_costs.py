@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .decision import Floats
+from .decision import Bools, Floats
 
 
-def same_cost(a: Floats, b: Floats) -> NDArray[np.bool_]:
+def same_cost(a: Floats, b: Floats) -> Bools:
     """Return whether sums of costs are the same, of any shape; infinite ones are not.
 
     Costs with decimals are rounded, and so are their sums. Two sums that differ by at most four units in the last place

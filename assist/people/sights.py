@@ -11,18 +11,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.arrays import read_only
 from planner.system.results import ByContent
 
-from .decision import Floats
+from .decision import Bools, Floats, Ints
 from .neighbourhood import Neighbourhood
 from .neighbours import SeenEvent, parts_of
 from .trust_rules import TrustRule
-
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 class Helping(NamedTuple):

@@ -22,15 +22,13 @@ from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner import CostToGo
 from planner.system.arrays import read_only
 
-from .decision import Floats
+from .decision import Bools, Floats, Ints
 from .state_keys import BLOCK
-
-Ints = NDArray[np.int64]
 
 NOTHING_YET = -1
 """Number of the last action, and of its state, before the first choice of an episode."""
@@ -98,7 +96,7 @@ class Situation:
     names: tuple[str, ...]
     words: Vocabulary
     state: Ints
-    applicable: NDArray[np.bool_]
+    applicable: Bools
     actions: Ints
     targets: Ints
     goals: Ints

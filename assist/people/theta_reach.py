@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .belief import Grid
-from .decision import Floats
+from .decision import Bools, Floats
 from .human import HumanModel
 from .neighbourhood import Neighbourhood, seen_gain
 from .neighbours import Range, SeenRule
 
 
-def range_of_gains(model: HumanModel, heard: NDArray[np.bool_]) -> Range:
+def range_of_gains(model: HumanModel, heard: Bools) -> Range:
     """Return the least and the largest gain of a step of a person who may have got a suggestion.
 
     Parameters

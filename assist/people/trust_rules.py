@@ -25,10 +25,7 @@ from planner.system.errors import expected
 from ..declare.declared import MOST, DeclarationError, Number, Truth, Whole, declared, plain
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from .decision import Floats
+    from .decision import Bools, Floats
 
 Feedback = Literal["perceived", "true", "never"]
 OF_FEEDBACK = "What people who follow a suggestion see of the outcome: by their own costs, by exact ones, or nothing."
@@ -59,10 +56,10 @@ class Event:
     """
 
     gain: Floats
-    agrees: NDArray[np.bool_]
-    followed: NDArray[np.bool_]
-    shown: NDArray[np.bool_]
-    right: NDArray[np.bool_]
+    agrees: Bools
+    followed: Bools
+    shown: Bools
+    right: Bools
 
 
 class TrustRule(Protocol):

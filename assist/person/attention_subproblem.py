@@ -16,12 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner.system.limits import available_memory
 
 from ..people.choices import Choices
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Bools, Floats, Ints
 from .memory_needed import policy_bytes, require_room
 from .pomdp import AssistPOMDP
 from .qmdp import QMDP, qmdp
@@ -68,7 +68,7 @@ class AttentionSubproblem:
         price: ArrayLike = (),
         *,
         longest: int | None = None,
-        kept: NDArray[np.bool_] | None = None,
+        kept: Bools | None = None,
     ) -> AttentionSubproblem:
         """Build the subproblem; it begins with the robot away, at step 0.
 
@@ -144,21 +144,21 @@ class AttentionSubproblem:
         """Return the problem with an additional price that is the same at all steps."""
         return replace(self.pomdp, robot_costs=self.pomdp.robot_costs + price * self.attended())
 
-    def attended(self) -> NDArray[np.bool_]:
+    def attended(self) -> Bools:
         """Return which robot actions take the robot's attention, shape (m, R)."""
         number = np.arange(self.pomdp.robot_costs.shape[1])
         under_way = self.layout.position[:, None] > HERE
         attended = ((number > 0) | under_way) & (number < self.pomdp.robot_actions[:, None])
         return attended & ~self.pomdp.ends[:, None]
 
-    def acted(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def acted(self) -> tuple[Bools, Bools]:
         """Return which robot actions make a suggestion, and which execute an action, both of shape (m, R)."""
         moves = RobotMoves.of(self.layout.positions, self.alone.suggested.shape[1], self.entry_steps)
         acts = self.attended() & (moves.meant[self.layout.position] > 0)
         executes = acts & (self.pomdp.suggested == NOTHING)
         return acts & ~executes, executes
 
-    def states(self, step: int, position: int) -> NDArray[np.int64]:
+    def states(self, step: int, position: int) -> Ints:
         """Return the numbers of the states, shape (n,), of a step and a position; -1 where one does not exist."""
         return self.layout.number(step, position, np.arange(self.layout.states))
 
@@ -179,7 +179,7 @@ def backwards(visits: AttentionSubproblem, tail: Floats) -> QMDP:
     return qmdp(visits.pomdp, above=above, tolerance=1e-5)
 
 
-def _choices(choices: Choices, layout: TimeExpansion, ends: NDArray[np.bool_]) -> Choices:
+def _choices(choices: Choices, layout: TimeExpansion, ends: Bools) -> Choices:
     """Return the person's choices in the time expansion: each one advances the step, and a travelling robot by one."""
     x, own = layout.x, np.arange(len(layout))
     position = np.where(layout.position > HERE, layout.position - 1, layout.position)

@@ -98,14 +98,14 @@ def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Prob
 
 @njit(nogil=True)
 def update_seen(
-    people: Ints, acts: Acts, belief: Floats, erred: Bools, optimal: Bools, possible: Floats, m: ProblemArrays
+    rows: Ints, acts: Acts, belief: Floats, erred: Bools, optimal: Bools, possible: Floats, m: ProblemArrays
 ) -> None:
     """Update the beliefs in people by what they did, and tell whether it was a mistake.
 
     Parameters
     ----------
-    people : int array, shape (m,)
-        Their numbers, from 0 to P - 1.
+    rows : int array, shape (m,)
+        The people, by their numbers from 0 to P - 1.
     acts : Acts
         What they did.
     belief : float array, shape (P, H, T), or without rows
@@ -117,7 +117,7 @@ def update_seen(
     """
     flat = belief.reshape(len(belief), belief.shape[1] * belief.shape[2])
     after = np.empty(flat.shape[1])
-    for n, i in enumerate(people):
+    for n, i in enumerate(rows):
         x, robot, slot = acts.x[n], acts.heard[n], acts.slot[n]
         erred[i] = False
         if slot < 0:

@@ -11,15 +11,11 @@ Shapes are those of `belief_filter`, with one row for each person.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..people.belief import ImpossibleObservationError
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Bools, Floats, Ints
 from ..people.influence_kernels import LARGEST
 from .problem_arrays import Acts, ProblemArrays
-
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 IMPOSSIBLE = "an action has probability 0 under the belief; a lapse rate above 0 in the model rules this out"
 

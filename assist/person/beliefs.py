@@ -22,19 +22,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..people.choices import Choices
-from ..people.decision import Floats
+from ..people.decision import Bools, Floats, Ints
 from ..people.neighbourhood import Neighbourhood
 from .joint_belief import JointBelief
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import Acts, ProblemArrays, read_only
-
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 Ask = Callable[[Policy, Ints, Floats], Floats]
 """A function of a policy, states, shape (m,), and beliefs, shape (m, H, T), that returns numbers, shape (m, W)."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..people.arguments import check_costs
 from ..people.choice_model import boltzmann, value
 from ..people.choices import WAIT
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from .assumptions import Assumptions
 from .pomdp import AssistPOMDP
 from .state_cache import StateCache
@@ -62,7 +61,7 @@ def value_beyond(region: TruncatedTask, assumed: Assumptions) -> Floats | None:
     return found
 
 
-def _expected(region: TruncatedTask, states: NDArray[np.int64], assumed: Assumptions) -> Floats:
+def _expected(region: TruncatedTask, states: Ints, assumed: Assumptions) -> Floats:
     """Return V(x) in some states of the whole task for each goal, shape (N, G)."""
     model = assumed.model(TruncatedTask.around(StateCache(region.known), states).choices)
     each = [value(assumed.chooses, choices, q) for choices, q in model.of_each_goal]

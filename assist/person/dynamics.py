@@ -9,18 +9,17 @@ robot learns is in `beliefs`.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.compiling import ReadableFirst
 
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Bools, Floats, Ints
 from .belief_update import in_order
 from .dynamics_kernel import act_compiled
 from .people_arrays import Minds, PeopleArrays
 from .problem_arrays import ProblemArrays
 
 
-def act_readable(people: NDArray[np.int64], them: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
+def act_readable(people: Ints, them: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
     """Let some people, all of one model, act once: the definition in numpy."""
     x, heard, goal = them.x[people], them.heard[people], minds.goal[them.who[people]]
     done = m.goal[goal, m.afterstate[x, heard]]
@@ -42,7 +41,7 @@ def act_readable(people: NDArray[np.int64], them: PeopleArrays, minds: Minds, m:
     them.x[people] = y
 
 
-def influenced(p: Floats, suggestion: NDArray[np.int64], theta: Floats) -> Floats:
+def influenced(p: Floats, suggestion: Ints, theta: Floats) -> Floats:
     """Return how likely choices are after suggestions (equation 6), shape (N, A), not normalised.
 
     A suggestion after which no action would be possible is ignored.
@@ -62,7 +61,7 @@ def influenced(p: Floats, suggestion: NDArray[np.int64], theta: Floats) -> Float
     return np.where(possible[:, None], p * weight, p)
 
 
-def drawn_slots(p: Floats, counts: NDArray[np.int64], lapse: float, uniform: Floats) -> NDArray[np.int64]:
+def drawn_slots(p: Floats, counts: Ints, lapse: float, uniform: Floats) -> Ints:
     """Return the choices that uniform numbers draw, shape (N,): the first slot up to which the probability exceeds it.
 
     Parameters
@@ -84,8 +83,8 @@ def drawn_slots(p: Floats, counts: NDArray[np.int64], lapse: float, uniform: Flo
 
 
 def _trust(
-    advised: NDArray[np.int64], people: NDArray[np.int64], x: NDArray[np.int64], heard: NDArray[np.int64],
-    followed: NDArray[np.bool_], them: PeopleArrays, minds: Minds, m: ProblemArrays,
+    advised: Ints, people: Ints, x: Ints, heard: Ints,
+    followed: Bools, them: PeopleArrays, minds: Minds, m: ProblemArrays,
 ) -> None:  # fmt: skip
     """Update theta of the people who got a suggestion, given by their places in `people`."""
     people, x, heard = people[advised], x[advised], heard[advised]
@@ -107,7 +106,7 @@ def _trust(
         them.theta[people] = np.where(gain == 0.0, theta, np.clip(theta + minds.eta * gain, 0.0, 1.0))
 
 
-def _work(people: NDArray[np.int64], _them: PeopleArrays, minds: Minds, _: ProblemArrays) -> float:
+def _work(people: Ints, _them: PeopleArrays, minds: Minds, _: ProblemArrays) -> float:
     """Return the work of `act_readable`, in nanoseconds."""
     return 60_000 + len(people) * 60 * minds.p.shape[2]
 

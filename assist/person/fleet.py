@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from planner.system.arrays import frozen
 
 from ..declare.declared import names_of
-from ..people.decision import Floats
+from ..people.decision import Bools, Floats, Ints
 from .robots import EXECUTION, SUGGESTION, USUAL, OfRobots, Robot
 
 
@@ -40,7 +40,7 @@ class Kinds(NamedTuple):
     """
 
     extra: Floats
-    of_robot: NDArray[np.int64]
+    of_robot: Ints
 
 
 @dataclass(frozen=True)
@@ -110,6 +110,6 @@ class Fleet:
         rows, number = np.unique(self.extra, axis=0, return_inverse=True)
         return Kinds(frozen(rows), frozen(number.reshape(-1)))
 
-    def extra_of(self, robot: NDArray[np.int64], executes: NDArray[np.bool_]) -> Floats:
+    def extra_of(self, robot: Ints, executes: Bools) -> Floats:
         """Return the extra costs of actions of robots, given by their numbers from 0; others are suggestions."""
         return np.where(executes, self.extra[robot, EXECUTION], self.extra[robot, SUGGESTION])

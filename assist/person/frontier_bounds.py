@@ -10,11 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner import CostToGo, Table
 
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from .assumptions import Assumptions
 from .robots import NOTHING_DONE, SUGGESTION
 
@@ -119,7 +119,7 @@ class CostLevels:
     """
 
     step: float
-    steps: NDArray[np.int64]
+    steps: Ints
     prices: Floats
 
     @classmethod

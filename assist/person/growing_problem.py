@@ -21,12 +21,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import CostToGo
 
 from ..people.choices import WAIT
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Floats, Ints
 from ..people.goals import each_of, first_of, prior_of
 from ..people.memory_on_demand import memory_of
 from .assumptions import Assumptions
@@ -39,8 +38,6 @@ from .rows import NONE, OWN, Rows
 from .shared_task import SharedTask
 from .truncated_bound import bounded
 from .truncated_task import TruncatedTask
-
-Ints = NDArray[np.int64]
 
 OF_PLACES = {"h": np.inf, "goal": False, "key": 0}
 """What is known of a place that was only looked up, as the successor of a choice."""

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..people.belief import ImpossibleObservationError
-from ..people.decision import Floats
+from ..people.decision import Bools, Floats, Ints
 from .beliefs import Ask, Groups, PersonModel
 from .evidence import Evidence
 from .joint_belief import LEAST, JointBelief, expected_answers, said_in, same_suggestions
@@ -24,9 +23,6 @@ from .pomdp import AssistPOMDP
 from .problem_arrays import Acts
 from .random_kinds import Kind
 from .seen_beliefs import Seen
-
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 class Hidden(Seen):

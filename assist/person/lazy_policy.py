@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from ..people.decision import Floats
-from .policy import Ints, Policy
+from ..people.decision import Floats, Ints
+from .policy import Policy
 from .pomdp import AssistPOMDP
 
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from planner.system.arrays import outline
 
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -43,13 +40,13 @@ class LeafBounds:
         exact cost-to-go.
     """
 
-    states: NDArray[np.int64]
+    states: Ints
     lower: Floats
     upper: Floats
     floor: float | None = None
     away: Floats | None = None
     value: Floats | None = None
-    acting: NDArray[np.int64] | None = None
+    acting: Ints | None = None
 
     __repr__ = outline
 
@@ -58,7 +55,7 @@ class LeafBounds:
             if array is not None:
                 array.flags.writeable = False
 
-    def of_types(self, goal_of: NDArray[np.int64]) -> LeafBounds:
+    def of_types(self, goal_of: Ints) -> LeafBounds:
         """Return the bounds with an axis of types, shape (m, H, T), in the place of one of goals."""
 
         def by_type(bound: Floats) -> Floats:

@@ -11,12 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.arrays import outline, read_only
 from planner.system.progress import Progress
 
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from ..people.goals import first_of
 from .backups import bellman_backup
 from .frontier_bounds import never_erring
@@ -45,7 +44,7 @@ class LeafEstimates:
     gamma : float
     """
 
-    states: NDArray[np.int64]
+    states: Ints
     value: Floats
     level: Floats
     mean: Floats
@@ -62,7 +61,7 @@ class LeafEstimates:
         cls,
         problem: AssistPOMDP,
         region: TruncatedTask,
-        rows: NDArray[np.int64] | None = None,
+        rows: Ints | None = None,
         *,
         like: LeafEstimates | None = None,
         tolerance: float | None = None,
@@ -117,7 +116,7 @@ class LeafEstimates:
         mean /= np.bincount(place, minlength=len(level))[:, None, None, None]
         return cls(region.states[region.inside], value, level, mean, costs, gamma)
 
-    def a_step_before(self, problem: AssistPOMDP, region: TruncatedTask, rows: NDArray[np.int64]) -> LeafEstimates:
+    def a_step_before(self, problem: AssistPOMDP, region: TruncatedTask, rows: Ints) -> LeafEstimates:
         """Return the values one step before these, by one Bellman backup; arguments as in `of`."""
         value = initial_upper_bounds(problem)
         value[rows[:, region.inside].T] = self.value
@@ -125,7 +124,7 @@ class LeafEstimates:
         found = bellman_backup(problem, value)[rows[:, region.inside].T]
         return self._of_values(region, found, self.costs, self.gamma)
 
-    def at(self, states: NDArray[np.int64], h: Floats) -> Floats:
+    def at(self, states: Ints, h: Floats) -> Floats:
         """Return the values of states, shape (N, P, H, T).
 
         Parameters

@@ -5,19 +5,18 @@ from __future__ import annotations
 import heapq
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import CostToGo
 
-from ..people.decision import Floats, choice
+from ..people.decision import Floats, Ints, choice
 from ..people.goals import each_of, first_of, prior_of
 from ..people.human import Human
 from ..people.misconception import Misconception
 from ..people.state_keys import keys_of
-from .state_cache import Ints, StateCache
+from .state_cache import StateCache
 
 
-def perceived_of_states(human: Human, known: CostToGo, states: NDArray[np.int64], h: Floats) -> Floats:
+def perceived_of_states(human: Human, known: CostToGo, states: Ints, h: Floats) -> Floats:
     """Return what a person takes for the cost-to-go of states, shape (N,), where `h` is the exact cost-to-go.
 
     It is the exact one for misconceptions about actions, which do not define a perceived cost-to-go of a state.

@@ -11,11 +11,10 @@ import math
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.progress import Progress
 
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from .action_values import BEST
 from .policy_iteration import improve, rounding_error
 from .pomdp import AssistPOMDP
@@ -70,7 +69,7 @@ def value_iteration(
 
 def evaluate(
     pomdp: AssistPOMDP,
-    robot: NDArray[np.int64],
+    robot: Ints,
     *,
     tolerance: float = 1e-4,
     deadline: float = math.inf,
@@ -113,7 +112,7 @@ def evaluate(
     return value - np.where(active[:, :, None], rounding_error(value, arrays), 0.0)
 
 
-def regions(pomdp: AssistPOMDP) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def regions(pomdp: AssistPOMDP) -> list[tuple[Ints, Ints]]:
     """Return the dead ends of each goal and all other states that are not final, both in the order of a sweep."""
     found = []
     for goal, h in enumerate(pomdp.model.choices.goals.h):
@@ -123,7 +122,7 @@ def regions(pomdp: AssistPOMDP) -> list[tuple[NDArray[np.int64], NDArray[np.int6
     return found
 
 
-def sweep_order(pomdp: AssistPOMDP, goal: int) -> NDArray[np.int64]:
+def sweep_order(pomdp: AssistPOMDP, goal: int) -> Ints:
     """Return the states in which the problem goes on for a goal; successors mostly precede their predecessors."""
     h = pomdp.model.choices.goals.h[goal]
     order = np.argsort(h, kind="stable") if pomdp.order is None else pomdp.order[goal]

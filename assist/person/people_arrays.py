@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Floats, Ints
 from .pomdp import AssistPOMDP
 from .problem_arrays import read_only
 
@@ -35,19 +34,19 @@ class PeopleArrays(NamedTuple):
         Cost of the choice.
     """
 
-    x: NDArray[np.int64]
-    heard: NDArray[np.int64]
-    who: NDArray[np.int64]
+    x: Ints
+    heard: Ints
+    who: Ints
     theta: Floats
-    outcomes: NDArray[np.int64]
+    outcomes: Ints
     uniform: Floats
-    slot: NDArray[np.int64]
+    slot: Ints
     cost: Floats
 
     @classmethod
     def of_teams(
-        cls, x: NDArray[np.int64], heard: NDArray[np.int64], who: NDArray[np.int64], theta: Floats,
-        outcomes: NDArray[np.int64], uniform: Floats,
+        cls, x: Ints, heard: Ints, who: Ints, theta: Floats,
+        outcomes: Ints, uniform: Floats,
     ) -> PeopleArrays:  # fmt: skip
         """Return flat views of teams' arrays, of shape (N, K, ...) in C order, with one person after the other."""
         return cls(
@@ -75,7 +74,7 @@ class Minds(NamedTuple):
         Whether theta moves between grid points at random, as in the robot's model.
     """
 
-    goal: NDArray[np.int64]
+    goal: Ints
     p: Floats
     value: Floats
     eta: float

@@ -8,13 +8,13 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeGuard, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import CostToGo, Table
 from planner.system.arrays import outline
 
 from ..people.arguments import whole
 from ..people.choices import Choices
+from ..people.decision import Ints
 from ..people.goals import Goals, each_of, first_of, known_task, require_one_goal
 from ..people.human import Human
 from ..people.memory import choices_of
@@ -133,7 +133,7 @@ class PersonProblem:
 
     known: CostToGo | Goals
     pomdp: AssistPOMDP
-    states: NDArray[np.int64]
+    states: Ints
 
     __repr__ = outline
 

@@ -13,17 +13,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from .mdp_values import evaluate
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
 from .problem_rows import ProblemRows, WholeProblem
 from .ties import first_best
 from .visiting_robot import VisitingRobot
-
-Ints = NDArray[np.int64]
 
 OfRows = Callable[[Ints], Floats]
 """A function of rows, shape (N,), that returns values for known type and theta, shape (N, H, T), in cost units."""

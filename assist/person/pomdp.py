@@ -17,7 +17,6 @@ from functools import cached_property, partial
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.arrays import outline, read_only
 
@@ -25,7 +24,7 @@ from ..people import belief as beliefs
 from ..people.arguments import check_costs, one_of
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, chances
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Bools, Floats, Ints
 from ..people.hidden_type import HiddenType
 from ..people.human import HumanModel
 from ..people.ranges import Population
@@ -83,17 +82,17 @@ class AssistPOMDP:
     grid: Grid
     gamma: float
     prior: Floats
-    robot_actions: NDArray[np.int64]
-    suggested: NDArray[np.int64]
-    afterstate: NDArray[np.int64]
+    robot_actions: Ints
+    suggested: Ints
+    afterstate: Ints
     robot_costs: Floats
     chosen: Floats
     unsuggested: Floats
-    low: NDArray[np.int64]
+    low: Ints
     weight: Floats
     frontier: LeafBounds | None = None
-    order: NDArray[np.int64] | None = None
-    followed_low: NDArray[np.int64] | None = None
+    order: Ints | None = None
+    followed_low: Ints | None = None
     followed_weight: Floats | None = None
     alike: int = 1
 
@@ -166,7 +165,7 @@ class AssistPOMDP:
         )  # fmt: skip
 
     @cached_property
-    def final(self) -> NDArray[np.bool_]:
+    def final(self) -> Bools:
         """Whether the problem ends in each state for each goal, shape (G, n): at the goal, and at the frontier."""
         final = self.model.choices.goals.goal.copy()
         if self.frontier is not None:
@@ -175,13 +174,13 @@ class AssistPOMDP:
         return final
 
     @cached_property
-    def ends(self) -> NDArray[np.bool_]:
+    def ends(self) -> Bools:
         """Whether the problem ends in each state, whatever the goal, shape (n,)."""
         ends = np.logical_and.reduce(self.final)
         ends.flags.writeable = False
         return ends
 
-    def likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], slot: NDArray[np.int64]) -> Floats:
+    def likelihood(self, x: Ints, robot: Ints, slot: Ints) -> Floats:
         """Return the likelihood P(slot | x, robot, type, theta), shape (N, H, T).
 
         It combines choice and influence (equations 5 and 6) with the model's lapse rate.
@@ -205,7 +204,7 @@ class AssistPOMDP:
         count = self.model.choices.applicable[acting].sum(axis=1)[:, None, None]
         return (1 - self.model.lapse) * likelihood + self.model.lapse / count
 
-    def update(self, belief: Floats, x: NDArray[np.int64], robot: NDArray[np.int64], slot: NDArray[np.int64]) -> Floats:
+    def update(self, belief: Floats, x: Ints, robot: Ints, slot: Ints) -> Floats:
         """Return the posterior beliefs, shape (N, H, T), after people's actions; arguments as in `likelihood`."""
         low, weight = self.low[x, robot], self.weight[x, robot]
         if self.followed_low is not None and self.followed_weight is not None:
@@ -229,7 +228,7 @@ class AssistPOMDP:
         return replace(self, robot_costs=costs)
 
     @cached_property
-    def suggests_optimal(self) -> NDArray[np.bool_]:
+    def suggests_optimal(self) -> Bools:
         """Whether each robot action suggests an action that is optimal for each goal, shape (n, R, G)."""
         slot = np.maximum(self.suggested, 0)[:, :, None]
         optimal = np.take_along_axis(self.model.choices.goals.optimal, slot, axis=1)
@@ -238,7 +237,7 @@ class AssistPOMDP:
         return suggests
 
     @cached_property
-    def first_optimal(self) -> NDArray[np.int64]:
+    def first_optimal(self) -> Ints:
         """The first robot action that suggests an optimal action for each goal, shape (n, G); 0 if there is none."""
         first = self.suggests_optimal.argmax(axis=1)
         first.flags.writeable = False
@@ -254,7 +253,7 @@ class AssistPOMDP:
         slot = int(self.executed(np.array([x]))[0, robot])
         return None if slot == NOTHING else self.model.choices.name(x, slot)
 
-    def executed(self, x: NDArray[np.int64]) -> NDArray[np.int64]:
+    def executed(self, x: Ints) -> Ints:
         """Return the slot that each robot action executes in some states, shape (N, R); `NOTHING` for none."""
         number, suggested = np.arange(self.suggested.shape[1]), self.suggested[x]
         executes = (number > 0) & (number < self.robot_actions[x, None]) & (suggested == NOTHING)
@@ -264,7 +263,7 @@ class AssistPOMDP:
 
 
 def _choice_probabilities(
-    model: HumanModel, chooses: ChoiceModel, hidden: HiddenType, suggested: NDArray[np.int64]
+    model: HumanModel, chooses: ChoiceModel, hidden: HiddenType, suggested: Ints
 ) -> tuple[Floats, Floats]:
     """Return `AssistPOMDP.chosen` and `AssistPOMDP.unsuggested`."""
     each: list[Floats] = []

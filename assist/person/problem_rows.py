@@ -10,20 +10,18 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import CostToGo
 
 from ..declare.declared import MOST
 from ..people.choices import Choices
+from ..people.decision import Ints
 from ..people.neighbours import Range
 from ..people.theta_reach import range_of_gains
 from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem, given_goals
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 from .rows import NONE
-
-Ints = NDArray[np.int64]
 
 
 class Snapshot(NamedTuple):

@@ -13,13 +13,12 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.arrays import outline
 from planner.system.limits import Deadline
 from planner.system.progress import Wanted, shows_progress
 
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from .action_values import BEST
 from .expected_values import expected, expected_of_few
 from .mdp_values import MOST_SWEEPS, initial_upper_bounds, value_iteration
@@ -56,7 +55,7 @@ class QMDP(Policy):
         self.value_mdp.flags.writeable = False
         self.q_mdp.flags.writeable = False
 
-    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+    def q_values(self, x: Ints, belief: Floats) -> Floats:
         """Return the expected Q-value of each robot action, shape (N, R).
 
         Parameters
@@ -69,7 +68,7 @@ class QMDP(Policy):
             return expected_of_few(self.q_mdp, self.pomdp.robot_actions, x, weighed)
         return expected(self.q_mdp, self.pomdp.robot_actions, x, weighed)
 
-    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+    def value(self, x: Ints, belief: Floats) -> Floats:
         """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""
         return np.einsum("nht,nht->n", self.value_mdp[x], belief)
 
@@ -129,7 +128,7 @@ def load_compiled(pomdp: AssistPOMDP) -> None:
 
 
 def look_ahead(
-    pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = None, backup: SparseBackup | None = None
+    pomdp: AssistPOMDP, value: Floats, states: Ints | None = None, backup: SparseBackup | None = None
 ) -> QMDP:
     """Return the policy that is greedy with respect to values, shape (n, H, T), by one exact Bellman backup.
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..people.choices import Choices
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Floats, Ints
 from .leaf_bounds import LeafBounds
 from .robots import OfRobots, Suggestions
 
@@ -16,9 +15,9 @@ from .robots import OfRobots, Suggestions
 class RobotActions(NamedTuple):
     """The robot actions of each state; attributes as in `AssistPOMDP`."""
 
-    number: NDArray[np.int64]
-    suggested: NDArray[np.int64]
-    afterstate: NDArray[np.int64]
+    number: Ints
+    suggested: Ints
+    afterstate: Ints
     costs: Floats
 
     @classmethod

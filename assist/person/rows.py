@@ -19,7 +19,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
+from ..people.decision import Ints
 
 NONE = np.empty(0, dtype=np.int64)
 OWN = "own"

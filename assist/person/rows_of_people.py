@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..people.decision import Ints
 from .policy import Policy
 from .pomdp import AssistPOMDP
-
-Ints = NDArray[np.int64]
 
 
 def by_model(model: Ints, people: Ints, models: int) -> list[tuple[int, Ints]]:

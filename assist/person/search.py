@@ -8,10 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..people.arguments import whole
-from ..people.decision import Floats
+from ..people.decision import Bools, Floats, Ints
 from . import belief_hulls, hsvi, vector_lists
 from .mdp_values import evaluate, sweep_order
 from .policy_iteration import rounding_error
@@ -49,7 +48,7 @@ class SolverOptions:
     finest: float = 1e-6
     backups_per_check: int = 1000
     first_sweeps: int = 20
-    further_beliefs: tuple[NDArray[np.int64], Floats] | None = None
+    further_beliefs: tuple[Ints, Floats] | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -99,7 +98,7 @@ class Search:
             self.begin(self.informed(best, belief), until, self.options.first_sweeps)
         return never, always
 
-    def informed(self, best: QMDP, belief: Floats, among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+    def informed(self, best: QMDP, belief: Floats, among: Bools | None = None) -> Ints:
         """Return QMDP's action in each state for one belief, shape (n,).
 
         The choice is among all robot actions, or among those of the mask `among`, shape (n, R).
@@ -149,7 +148,7 @@ class Search:
         below, above = self.bounds(self.root, self.prior)
         self.lower, self.upper = max(self.lower, below), min(self.upper, above)
 
-    def begin(self, robot: NDArray[np.int64], deadline: float = math.inf, max_sweeps: int | None = None) -> float:
+    def begin(self, robot: Ints, deadline: float = math.inf, max_sweeps: int | None = None) -> float:
         """Add the vectors of a policy that depends on x only; return a lower bound on its value at the root."""
         value = evaluate(self.pomdp, robot, deadline=deadline, max_sweeps=max_sweeps).reshape(len(robot), -1)
         vector_lists.add_vectors(value, robot, _own(self.pomdp.prior), self.vectors)

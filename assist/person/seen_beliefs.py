@@ -7,12 +7,11 @@ from copy import copy
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.compiling import ReadableFirst
 
 from ..people.belief import ImpossibleObservationError, moved
-from ..people.decision import Floats
+from ..people.decision import Bools, Floats, Ints
 from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from .belief_filter import update_seen
 from .belief_update import update_readable
@@ -21,9 +20,6 @@ from .joint_belief import JointBelief
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import Acts
-
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 class Seen:

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from planner.system.progress import Wanted, shows_progress
 from planner.system.results import Result
 
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from . import archive, convex_bound
 from .alpha_vectors import VectorPolicy
 from .further_beliefs import widen
@@ -87,7 +87,7 @@ class Solution(Result, Policy):
     corner: Floats
     point: Floats
     drop: Floats
-    first: NDArray[np.int64]
+    first: Ints
     lower: float
     upper: float
     value_qmdp: float
@@ -168,7 +168,7 @@ class Solution(Result, Policy):
             "stopped": self.stopped,
         }
 
-    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+    def q_values(self, x: Ints, belief: Floats) -> Floats:
         """Return lower bounds on the policy's Q-values, shape (N, R); minus infinity in padding.
 
         Parameters
@@ -178,11 +178,11 @@ class Solution(Result, Policy):
         """
         return self.policy.q_values(x, belief)
 
-    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+    def value(self, x: Ints, belief: Floats) -> Floats:
         """Return the lower bound on the policy's value, shape (N,); arguments as in `q_values`."""
         return self.policy.value(x, belief)
 
-    def upper_bound(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+    def upper_bound(self, x: Ints, belief: Floats) -> Floats:
         """Return the upper bound on the value of any policy, shape (N,), convex in the belief.
 
         The arguments are as in `q_values`.
@@ -292,7 +292,7 @@ def result_of(search: Search, **facts: object) -> Solution:
     )  # fmt: skip
 
 
-def _sorted(state: NDArray[np.int32], states: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _sorted(state: NDArray[np.int32], states: int) -> tuple[Ints, Ints]:
     """Return the used entries in the order of their states, and the offset of each state."""
     used = np.flatnonzero(state >= 0)
     used = used[np.argsort(state[used], kind="stable")]

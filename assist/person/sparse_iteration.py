@@ -17,16 +17,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..people.decision import Floats
+from ..people.decision import Bools, Floats, Ints
 from . import krylov
 from .belief_update import factors_of
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
 from .rounding import rounding
-
-Ints = NDArray[np.int64]
 
 MOST_VALUES = 100_000
 """Values of a small problem, at most: these take 0.2 s here, and 0.06 s in compiled code (`qmdp.COMPILED_FOR`)."""
@@ -172,7 +169,7 @@ class SparseBackup:
         q[h, pair] += value[h, self.x[pair]]
         return np.asarray(q)
 
-    def best_actions(self, q: Floats, best: Floats, where: NDArray[np.bool_]) -> Ints:
+    def best_actions(self, q: Floats, best: Floats, where: Bools) -> Ints:
         """Return the first robot action with the best Q-value in chosen states, types and thetas.
 
         `q` has the shape (H, P, T), `best` and `where` (H, n, T).
@@ -259,7 +256,7 @@ def improve_small(
 
 
 def _values(
-    backup: SparseBackup, policy: Ints, start: Floats, active: NDArray[np.bool_], goal: float, stop: Callable[[], bool]
+    backup: SparseBackup, policy: Ints, start: Floats, active: Bools, goal: float, stop: Callable[[], bool]
 ) -> Floats:
     """Return the values of a policy up to a largest residual, from first values, shape (H, n, T).
 

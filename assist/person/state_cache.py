@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from planner import CostToGo, Transitions
 
 from ..people.choices import Choices
+from ..people.decision import Bools, Ints
 from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, optimal_for_each
 from ..people.slots import padded
 from ..people.state_keys import keys_of
-
-Ints = NDArray[np.int64]
 
 NONE = np.empty(0, dtype=np.int64)
 
@@ -114,7 +113,7 @@ class StateCache:
         """Return the numbers of states in the task, shape (N,)."""
         return self._states[places]
 
-    def is_expanded(self, places: Ints) -> NDArray[np.bool_]:
+    def is_expanded(self, places: Ints) -> Bools:
         """Return whether the choices in states are known, shape (N,)."""
         return np.asarray(self._count[places] >= 0)
 
@@ -136,9 +135,7 @@ class StateCache:
                 self._optimal.add(optimal)
         return places
 
-    def choices(
-        self, places: Ints, among: NDArray[np.bool_] | bool = True
-    ) -> tuple[Ints, Ints, NDArray[np.int32], NDArray[np.bool_]]:
+    def choices(self, places: Ints, among: Bools | bool = True) -> tuple[Ints, Ints, NDArray[np.int32], Bools]:
         """Return the m choices in some states, shape (N,), of those `among` them that are looked at: all by default.
 
         Returns
@@ -154,7 +151,7 @@ class StateCache:
         at = np.arange(offsets[-1]) + np.repeat(self._first[places] - offsets[:-1], counts)
         return offsets, self._targets[at], self._actions[at], self._optimal[at]
 
-    def _part(self, places: Ints, expanded: NDArray[np.bool_], copies: int = 0) -> Part:
+    def _part(self, places: Ints, expanded: Bools, copies: int = 0) -> Part:
         """Return the states of some places; choices are in those that are `expanded`, and lead to none of the first."""
         offsets, targets, actions, optimal = self.choices(places, expanded)
         order = np.argsort(places[copies:])

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 
 NEAR = 1e-9
 """Cost units. Values of decisions that differ by at most as much are equal; sums in another order differ by less."""
@@ -14,7 +13,7 @@ ROWS, COLUMNS = 256, 16
 """Numbers from which, and up to which, numpy is faster by columns than by rows."""
 
 
-def first_best(values: Floats) -> NDArray[np.int64]:
+def first_best(values: Floats) -> Ints:
     """Return the first number on the last axis whose value is the largest, or within `NEAR` of it; shape (...)."""
     if values.shape[-1] > COLUMNS or values.size <= ROWS * values.shape[-1]:
         return np.asarray((values >= values.max(axis=-1, keepdims=True) - NEAR).argmax(axis=-1))
@@ -25,7 +24,7 @@ def first_best(values: Floats) -> NDArray[np.int64]:
     return found
 
 
-def ranked(values: Floats) -> NDArray[np.int64]:
+def ranked(values: Floats) -> Ints:
     """Return the numbers on the last axis by falling value, in the shape of `values`.
 
     Numbers whose values differ by at most `NEAR` from the next one are in ascending order.

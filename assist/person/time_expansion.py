@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..people.decision import Bools, Ints
 from .pomdp import AssistPOMDP
 
 AWAY, HERE = 0, 1
@@ -33,11 +34,11 @@ class TimeExpansion:
 
     states: int
     positions: int
-    layers: tuple[NDArray[np.int64], ...]
-    kept: NDArray[np.bool_] | None = None
+    layers: tuple[Ints, ...]
+    kept: Bools | None = None
 
     @classmethod
-    def of(cls, alone: AssistPOMDP, positions: int, steps: int, kept: NDArray[np.bool_] | None = None) -> TimeExpansion:
+    def of(cls, alone: AssistPOMDP, positions: int, steps: int, kept: Bools | None = None) -> TimeExpansion:
         """Return the expansion with the states that are reachable at each step.
 
         With 0 steps it has all task states. A state in which the problem ends has no successors.
@@ -47,10 +48,10 @@ class TimeExpansion:
         if not steps:
             return cls(len(choices), positions, (np.arange(len(choices)),))
 
-        def and_executed(states: NDArray[np.int64]) -> NDArray[np.int64]:
+        def and_executed(states: Ints) -> Ints:
             return np.union1d(states, alone.afterstate[states].ravel())
 
-        def after(step: int, states: NDArray[np.int64]) -> NDArray[np.int64]:
+        def after(step: int, states: Ints) -> Ints:
             going = states if kept is None else states[kept[step, states]]
             return np.unique(choices.targets[going][leads[going]])
 
@@ -67,27 +68,27 @@ class TimeExpansion:
         return self.positions * sum(map(len, self.layers))
 
     @cached_property
-    def step(self) -> NDArray[np.int64]:
+    def step(self) -> Ints:
         """The step of each state, shape (m,); the last value stands for all later steps."""
         return np.repeat(np.arange(len(self.layers)), [self.positions * len(layer) for layer in self.layers])
 
     @cached_property
-    def position(self) -> NDArray[np.int64]:
+    def position(self) -> Ints:
         """The robot's position in each state, shape (m,)."""
         return np.concatenate([np.repeat(np.arange(self.positions), len(layer)) for layer in self.layers])
 
     @cached_property
-    def x(self) -> NDArray[np.int64]:
+    def x(self) -> Ints:
         """The task state of each state, shape (m,)."""
         return np.concatenate([np.tile(layer, self.positions) for layer in self.layers])
 
     @cached_property
-    def cut(self) -> NDArray[np.bool_]:
+    def cut(self) -> Bools:
         """Whether the problem is truncated at each state by `kept`, shape (m,)."""
         return np.zeros(len(self), dtype=bool) if self.kept is None else ~self.kept[self.step, self.x]
 
     @cached_property
-    def _first(self) -> NDArray[np.int64]:
+    def _first(self) -> Ints:
         """The number of each task state at each step with the robot away; -1 where it does not exist."""
         first = np.full((len(self.layers), self.states), -1)
         before = 0
@@ -96,7 +97,7 @@ class TimeExpansion:
             before += self.positions * len(layer)
         return first
 
-    def number(self, step: ArrayLike, position: ArrayLike, x: ArrayLike) -> NDArray[np.int64]:
+    def number(self, step: ArrayLike, position: ArrayLike, x: ArrayLike) -> Ints:
         """Return the numbers of states, given by their step, position and task state; -1 where one does not exist.
 
         The arguments are broadcast against each other. Steps beyond the last one count as the last.
@@ -128,9 +129,9 @@ class RobotMoves:
         Number of steps of coming.
     """
 
-    meant: NDArray[np.int64]
-    then: NDArray[np.int64]
-    comes: NDArray[np.bool_]
+    meant: Ints
+    then: Ints
+    comes: Bools
     entry_steps: int
 
     @classmethod
@@ -149,7 +150,7 @@ class RobotMoves:
         comes[AWAY, 1:] = True
         return cls(meant, then, comes, entry_steps)
 
-    def count(self, position: NDArray[np.int64], alone: NDArray[np.int64]) -> NDArray[np.int64]:
+    def count(self, position: Ints, alone: Ints) -> Ints:
         """Return the number of moves, shape (m,), where a robot that is always present has `alone` actions."""
         away = np.full_like(alone, 2) if self.entry_steps else alone
         return np.select([position == AWAY, position == HERE], [away, alone + 1], 1)

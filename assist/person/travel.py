@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.system.arrays import frozen
 
 from ..people.arguments import MOST, whole, within
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from .robots import LONGEST
 
 
@@ -95,17 +95,17 @@ class Travel:
     def __len__(self) -> int:
         return len(self.distance) - 1
 
-    def costs_from(self, location: NDArray[np.int64]) -> Floats:
+    def costs_from(self, location: Ints) -> Floats:
         """Return the cost of each robot's move to each person, shape (N, M, K); `location` has the shape (N, M)."""
         return np.asarray(self.c_move[:, None] * self.distance[location][..., :-1])
 
-    def steps_from(self, location: NDArray[np.int64]) -> NDArray[np.int64]:
+    def steps_from(self, location: Ints) -> Ints:
         """Return the steps of each robot's move to each person; shapes as in `costs_from`."""
         if self.at_once:
             return np.zeros((*location.shape, len(self)), dtype=np.int64)
         return _whole_steps(self.distance[location][..., :-1] * self.travel_time[:, None])
 
-    def costs_between(self, robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]) -> Floats:
+    def costs_between(self, robot: Ints, origin: Ints, to: Ints) -> Floats:
         """Return the costs of moves of robots, given by their numbers from 0, between pairs of places."""
         return np.asarray(self.c_move[robot] * self.distance[origin, to])
 
@@ -113,9 +113,7 @@ class Travel:
         """Return the costs of one robot's moves from a place to each place and the base, shape (K + 1,)."""
         return self.costs_between(np.array(robot), np.array(origin), np.arange(len(self.distance)))
 
-    def steps_between(
-        self, robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
+    def steps_between(self, robot: Ints, origin: Ints, to: Ints) -> Ints:
         """Return the steps of moves of robots, given by their numbers from 0, between pairs of places."""
         if self.at_once:
             return np.zeros(np.broadcast_shapes(np.shape(robot), np.shape(origin), np.shape(to)), dtype=np.int64)
@@ -145,7 +143,7 @@ class Travel:
         return self.c_move.min() * self._nearest
 
     @property
-    def entry_steps(self) -> NDArray[np.int64]:
+    def entry_steps(self) -> Ints:
         """The smallest number of steps for coming to each person from any other place by any robot, shape (K,)."""
         return _whole_steps(self._nearest * self.travel_time.min())
 
@@ -168,7 +166,7 @@ class Travel:
         return int(_whole_steps(self.distance.max() * self.travel_time.max()))
 
 
-def _whole_steps(steps: Floats) -> NDArray[np.int64]:
+def _whole_steps(steps: Floats) -> Ints:
     # For example, 3 * 0.1 is slightly larger than 0.3 in floating-point arithmetic; that must not add a step.
     return np.ceil(steps - 1e-9).clip(0).astype(np.int64)
 

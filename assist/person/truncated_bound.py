@@ -70,7 +70,7 @@ from numpy.typing import NDArray
 from planner import CostToGo, Table
 
 from ..people.choice_model import boltzmann
-from ..people.decision import Floats
+from ..people.decision import Bools, Floats, Ints
 from ..people.goals import Goals
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
@@ -150,7 +150,7 @@ class OuterRelaxation:
 
     visits: AttentionSubproblem
     value: Floats
-    place: NDArray[np.int64]
+    place: Ints
 
     @property
     def nbytes(self) -> int:
@@ -346,7 +346,7 @@ class _Person:
         return found.at(region.states)
 
 
-def likely(alone: AssistPOMDP, steps: int, most: int) -> NDArray[np.bool_]:
+def likely(alone: AssistPOMDP, steps: int, most: int) -> Bools:
     """Return a mask of the `most` likeliest pairs of step and state, shape (steps + 1, n).
 
     The last row stands for all later steps. The probabilities are those of people who receive and follow an optimal

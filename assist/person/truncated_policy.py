@@ -19,13 +19,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import CostToGo
 from planner.system.limits import available_memory
 from planner.system.progress import reporting
 
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from ..people.goals import Goals, each_of
 from ..people.hidden_type import HiddenType, OfGoals
 from .assumptions import Assumptions
@@ -44,36 +43,6 @@ from .visiting_robot import VisitingRobot
 
 NEVER = (-1.0,)
 """The key of estimates for a robot that never helps."""
-
-Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class SolvedRegion:
-    """A policy in the states of a truncated task.
-
-    Attributes
-    ----------
-    states : int array, shape (m,)
-        These states in ascending order, without the frontier.
-    row : int array, shape (m,)
-        The row of each in the problem of the policy.
-    policy : Policy
-    """
-
-    states: Ints
-    row: Ints
-    policy: Policy
-
-    @classmethod
-    def of(cls, region: TruncatedTask, policy: Policy) -> SolvedRegion:
-        """Return the states of a truncated task with the policy for its problem."""
-        return cls(region.states[region.inside], region.inside, policy)
-
-    def find(self, states: Ints) -> Ints:
-        """Return the row of each state, shape (N,); -1 for others."""
-        at = np.minimum(np.searchsorted(self.states, states), len(self.states) - 1)
-        return np.where(self.states[at] == states, self.row[at], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,10 +163,12 @@ class TruncatedPolicy(Policy):
         """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
         if self.solver is None:
             return self.problem.q_values("", self._backup, 0, x, belief)
-        at, q = self._own.find(self.places(x)), np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
-        inside, outside = np.flatnonzero(at >= 0), np.flatnonzero(at < 0)
+        region, policy = self._own
+        at, q = region.local(self.places(x)), np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
+        known = (at >= 0) & ~np.isin(at, region.frontier)
+        inside, outside = np.flatnonzero(known), np.flatnonzero(~known)
         if len(inside):
-            found = self._own.policy.q_values(at[inside], belief[inside])
+            found = policy.q_values(at[inside], belief[inside])
             q[inside, : found.shape[1]] = found[:, : q.shape[1]]
         if len(outside):
             found = self.problem.q_values("", self._backup, 0, x[outside], belief[outside])
@@ -205,11 +176,11 @@ class TruncatedPolicy(Policy):
         return q
 
     @cached_property
-    def _own(self) -> SolvedRegion:
-        """The policy of the solver on a truncated task, with all goals."""
+    def _own(self) -> tuple[TruncatedTask, Policy]:
+        """A truncated task with all goals, and the policy of the solver on it."""
         assert self.solver is not None
         region = self._region(self.ground.known)
-        return SolvedRegion.of(region, self.solver(closed_problem(region, self.assumed)))
+        return region, self.solver(closed_problem(region, self.assumed))
 
     def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
         """Return Q-values in the first rows of a problem of one step, and their numbers, as `Backup` does."""

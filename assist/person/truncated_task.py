@@ -27,16 +27,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import CostToGo
 from planner.system.arrays import outline
 
 from ..people.belief import Grid
 from ..people.choices import WAIT, Choices
-from ..people.decision import Floats
+from ..people.decision import Bools, Floats, Ints
 from ..people.goals import Goals, each_of, first_of, joined, optimal_for_each
 from ..people.human import Human
 from ..people.memory_on_demand import memory_of
@@ -72,9 +72,9 @@ class TruncatedTask:
 
     known: CostToGo | Goals
     choices: Choices
-    states: NDArray[np.int64]
-    frontier: NDArray[np.int64]
-    acting: NDArray[np.int64] | None = None
+    states: Ints
+    frontier: Ints
+    acting: Ints | None = None
 
     __repr__ = outline
 
@@ -136,7 +136,7 @@ class TruncatedTask:
 
     @classmethod
     def around(
-        cls, seen: StateCache, states: NDArray[np.int64], *, then: NDArray[np.int64] = NONE, ahead: bool = False,
+        cls, seen: StateCache, states: Ints, *, then: Ints = NONE, ahead: bool = False,
         advice_is_optimal: bool = True,
     ) -> TruncatedTask:  # fmt: skip
         """Return a truncated task of the given states, with their successors as the frontier.
@@ -185,19 +185,24 @@ class TruncatedTask:
         )  # fmt: skip
 
     @property
-    def _after_executions(self) -> NDArray[np.bool_]:
+    def _after_executions(self) -> Bools:
         """Which frontier states stand for those to which executions lead, shape (m,)."""
         return np.zeros(len(self.frontier), dtype=bool) if self.acting is None else self.acting == self.frontier
 
     @property
-    def inside(self) -> NDArray[np.int64]:
+    def inside(self) -> Ints:
         """The rows of the states that are not on the frontier, in the ascending order of states."""
         inside = np.setdiff1d(np.flatnonzero(self.states >= 0), self.frontier)
         return inside[np.argsort(self.states[inside])]
 
-    def local(self, states: NDArray[np.int64]) -> NDArray[np.int64]:
+    @cached_property
+    def _order(self) -> Ints:
+        """The rows in the ascending order of states."""
+        return np.argsort(self.states)
+
+    def local(self, states: Ints) -> Ints:
         """Return the rows, shape (N,), of states that are numbered as in `known`; -1 outside the truncated task."""
-        order = np.argsort(self.states)
+        order = self._order
         at = np.minimum(np.searchsorted(self.states, states, sorter=order), len(order) - 1)
         return np.where((self.states[order[at]] == states) & (states >= 0), order[at], -1)
 

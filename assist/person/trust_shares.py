@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, value
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Floats, Ints
 from ..people.human import HumanModel
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.trust_rules import TrustRule
@@ -16,8 +15,8 @@ from .leaf_bounds import LeafBounds
 
 def trust_shares(
     model: HumanModel, chooses: ChoiceModel, grid: Grid, rule: TrustRule, frontier: LeafBounds | None,
-    suggested: NDArray[np.int64], *, followed: bool,
-) -> tuple[NDArray[np.int64], Floats]:  # fmt: skip
+    suggested: Ints, *, followed: bool,
+) -> tuple[Ints, Floats]:  # fmt: skip
     """Return the grid's shares of theta after each robot action, for each goal, both of shape (n, R, G, T)."""
     slot, silent = np.maximum(suggested, 0), suggested[:, :, None] == NOTHING  # then theta does not move
     each = []
