@@ -79,11 +79,11 @@ class StateCache:
             here = self.expand(self.add(states))
             advised = [self.add(then)]
             if ahead:
-                _, targets, _, optimal = self.choices(here)
-                advised.append(targets[optimal.any(axis=1)] if advice_is_optimal else targets)
+                _, at = self._at(here)
+                advised.append(self._targets[at[self._optimal[at].any(axis=1)] if advice_is_optimal else at])
             after = self.expand(np.unique(np.concatenate(advised)))
             expanded = np.concatenate([here, after])
-            rest = np.setdiff1d(self.choices(expanded)[1], after)
+            rest = np.setdiff1d(self._targets[self._at(expanded)[1]], after)
             places = np.concatenate([expanded, rest])
             return self._part(places, np.arange(len(places)) < len(expanded), len(here))
 
@@ -94,10 +94,11 @@ class StateCache:
 
     def add(self, states: Ints) -> Ints:
         """Return the places of states, shape (N,); states that were not seen before are added."""
-        wanted, first, again = np.unique(states, return_index=True, return_inverse=True)
+        wanted, again = np.unique(states, return_inverse=True)
         with self._lock:
-            new = np.array([n for n in wanted[np.argsort(first)].tolist() if n not in self._place], dtype=np.int64)
-            if len(new):
+            if any(number not in self._place for number in wanted.tolist()):
+                each = dict.fromkeys(np.asarray(states).tolist())
+                new = np.array([number for number in each if number not in self._place], dtype=np.int64)
                 h = costs_to_go(self.known, new)  # a query may fail; nothing has been stored yet
                 self._place |= zip(new.tolist(), range(len(self), len(self) + len(new)), strict=True)
                 self._states.add(new)
@@ -120,8 +121,9 @@ class StateCache:
     def expand(self, places: Ints) -> Ints:
         """Find the choices in those states in which they are not known yet, in this order, and return the places."""
         with self._lock:
-            unknown = np.array([*dict.fromkeys(places[self._count[places] < 0].tolist())], dtype=np.int64)
+            unknown = places[self._count[places] < 0]
             if len(unknown):
+                unknown = np.array(list(dict.fromkeys(unknown.tolist())))
                 states = self._states[unknown]
                 found = self._first_goal.choices(states)
                 targets = np.asarray(found.targets, dtype=np.int64)
@@ -146,10 +148,14 @@ class StateCache:
             Places of the successors, and ground actions.
         optimal : bool array, shape (m, G)
         """
-        counts = np.where(among, self._count[places], 0)
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        at = np.arange(offsets[-1]) + np.repeat(self._first[places] - offsets[:-1], counts)
+        offsets, at = self._at(places, among)
         return offsets, self._targets[at], self._actions[at], self._optimal[at]
+
+    def _at(self, places: Ints, among: Bools | bool = True) -> tuple[Ints, Ints]:
+        """Return where the choices in each state begin, as `choices` does, and where they are in the lists."""
+        counts = self._count[places] if among is True else np.where(among, self._count[places], 0)
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        return offsets, np.arange(offsets[-1]) + np.repeat(self._first[places] - offsets[:-1], counts)
 
     def _part(self, places: Ints, expanded: Bools, copies: int = 0) -> Part:
         """Return the states of some places; choices are in those that are `expanded`, and lead to none of the first."""
