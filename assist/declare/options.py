@@ -298,7 +298,7 @@ def gathered(kind: type[T], parameters: dict[str, Any], environment: str | None 
     file = parameters.pop("setting_file")
     if file is not None:
         try:
-            given.file(file, tables.load(file))
+            given.file(file, _of_setting(file, kind, context.command))
         except InputFileError as error:
             raise click.UsageError(str(error)) from None
     if environment is not None:
@@ -325,6 +325,17 @@ def gathered(kind: type[T], parameters: dict[str, Any], environment: str | None 
         written.add(name)
         given.text(name, text.strip(), f"--set {name}")
     return given
+
+
+def _of_setting(file: Path, kind: Any, command: click.Command) -> dict[str, Any]:
+    """Return the content of a file for `--setting`; one for the command's `--config` is refused as such."""
+    content, known = tables.load(file), names_of(kind)
+    options = {one.opts[0].lstrip("-").replace("-", "_") for one in command.params} | {"setting", "tasks"}
+    meant_for_config = [name for name in content if name in options and name not in known]
+    if meant_for_config and "config" in options:
+        with tables.located(file):
+            raise tables.fault(file, meant_for_config[0], "unknown; this is a file for --config")
+    return content
 
 
 def places(kind: Any) -> Iterator[tuple[str, ...]]:

@@ -138,7 +138,7 @@ async def erase(
 async def reload(_: Operator, service: Desk) -> Any:
     """Read the service's configuration again, and follow changed distances and people's tasks."""
     found = await service.reload()
-    return {"changes": len(found.events), "ignored": found.ignored}
+    return {"changes": len(found.events), "restart": found.restart, "new_session": found.new_session}
 
 
 @router.get(

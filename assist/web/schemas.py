@@ -37,7 +37,10 @@ class Reloaded(BaseModel):
     """What reading the configuration again has changed."""
 
     changes: int = Field(description="Number of changes: of distances, and of people's tasks.")
-    ignored: list[str] = Field(description="Changed fields of the file for which a restart is needed.")
+    restart: list[str] = Field(description="Other changed fields of the file, for which a restart is needed.")
+    new_session: list[str] = Field(
+        description="Other changed fields of the file, for which a new session is needed, in another folder."
+    )
 
 
 class Me(BaseModel):

@@ -75,12 +75,15 @@ class ReadAgain:
     ----------
     events : list of TeamEvent
         By which the session follows it.
-    ignored : list of str
+    restart : list of str
         Changed fields that need a restart.
+    new_session : list of str
+        Changed fields that need a new session: opened with them again, the present one would be refused.
     """
 
     events: list[TeamEvent]
-    ignored: list[str]
+    restart: list[str]
+    new_session: list[str]
 
 
 @dataclass(frozen=True)
@@ -303,9 +306,12 @@ class Service:
         found = await asyncio.to_thread(self.changed_settings)
         for event in found.events:
             await self.report(event)
-        if found.ignored:
-            changed = ", ".join(found.ignored)
-            logging.getLogger(__name__).warning("a restart is needed for what else has changed: %s", changed)
+        for needed, changed in (
+            ("a restart", found.restart), ("a new session, in another folder,", found.new_session),
+        ):  # fmt: skip
+            if changed:
+                said = "%s is needed for what else has changed: %s"
+                logging.getLogger(__name__).warning(said, needed, ", ".join(changed))
         return found
 
     async def _keep_time(self) -> None:

@@ -66,15 +66,18 @@ def read_config(file: Path, options: Sequence[click.Parameter]) -> dict[str, Any
         The file cannot be read, or a value is unknown or faulty.
     """
     from ...declare import tables as toml
+    from ...declare.declared import names_of
+    from .settings import ServeSetting
 
     without = {"config", "changes", "setting_file"}
     known = {_name(one): one for one in options if one.name not in without and not isinstance(one, FieldOption)}
     try:
         with toml.located(file):
             content = toml.load(file)
-            for one in options:
-                if isinstance(one, FieldOption) and one.field in content:
-                    raise toml.fault(file, one.field, "unknown; expected it in the table `setting`")
+            for name in names_of(ServeSetting):
+                if name in content and name not in known:
+                    what = "unknown; expected it in the table `setting`, or a file for --setting"
+                    raise toml.fault(file, name, what)
             table = toml.convert(content, _kinds(known), file)
     except InputFileError as error:
         raise click.UsageError(str(error)) from None

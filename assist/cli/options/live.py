@@ -14,8 +14,10 @@ from planner.batch.results_folder import SolveOptions
 from planner.system.errors import InputFileError, expected
 
 from ...declare.catalogue import catalogue
+from ...declare.declared import names_of
 from ...declare.options import Given, setting_options
 from ...live.live_setting import LiveSetting
+from ...person.settings import Setting
 from .common import data_option, domain_option, humans_option, new_folder, together
 from .config import ENVIRONMENT, read_config
 from .goals import check_questions, goals_option, several_goals
@@ -126,6 +128,10 @@ def plan_of(team: LiveOptions) -> ServedTeam:
     )  # fmt: skip
 
 
+OF_SESSION = ("instances", "domain", "goals", "humans", "policy")
+"""Fields of a configuration beside its table `setting` that a session keeps, as decisions follow from them."""
+
+
 def changed_settings(
     config: Path, context: click.Context, session: Session, team: LiveOptions
 ) -> Callable[[], ReadAgain]:
@@ -166,13 +172,14 @@ def changed_settings(
         events += [Began(person=name, task=task) for name, task in chosen if tasks[name] != task]
         present = _fields(config)
         changed = [one for one in {**at_first, **present} if at_first.get(one) != present.get(one)]
-        return ReadAgain(events, changed)
+        bound = {*OF_SESSION, *(f"setting.{name}" for name in (*names_of(Setting), "population", "goal_prior"))}
+        return ReadAgain(events, [one for one in changed if one not in bound], [one for one in changed if one in bound])
 
     return read
 
 
 def _fields(config: Path) -> dict[str, Any]:
-    """Return the fields of a configuration that only a restart changes, each by its place."""
+    """Return the fields of a configuration that reading it again does not change, each by its place."""
     from ...declare import tables as toml
 
     content = toml.load(config)

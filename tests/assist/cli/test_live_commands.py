@@ -179,6 +179,14 @@ def test_the_printed_setting_of_serve_is_accepted_unedited(begun: Begun, tmp_pat
     assert (result.exit_code, f"{file}:{line}: pace has no effect without --simulate" in result.stderr) == (2, True)
 
 
+@pytest.mark.parametrize("content", ["gamma = 0.9\n[setting]\nc_suggest = 0.2", "gamma = 0.9\ninstances = []"])
+def test_a_file_for_config_is_told_from_one_for_setting(content: str, tmp_path: Path) -> None:
+    (file := tmp_path / "live.toml").write_text(content)
+    result = invoke("serve", TINY, "--humans", 2, "--port", 0, "--setting", file)
+    said = f"{file}:2: {'setting' if 'setting' in content else 'instances'}: unknown; this is a file for --config"
+    assert (result.exit_code, said in " ".join(result.stderr.split())) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

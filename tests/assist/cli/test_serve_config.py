@@ -111,6 +111,7 @@ distances = "far.json"
         ("setting = {c_sugest = 1}", {}, "line.toml:2: setting.c_sugest: unknown; did you mean 'c_suggest'?"),
         ("setting = {population = {beta = [2, 1]}}", {}, "line.toml:2: setting.population.beta: [2, 1]; expected two"),
         ("c_suggest = 1", {}, "line.toml:2: c_suggest: unknown; expected it in the table `setting`"),
+        ("gamma = 0.9", {}, "line.toml:2: gamma: unknown; expected it in the table `setting`, or a file for --setting"),
         ("policy = 'best'", {}, "(from "),
         ("setting = {pace = -1}", {}, "line.toml:2: setting.pace: -1; expected a number above 0"),
         ("tasks = {ann = 'tiny'}", {}, "tasks.ann: there is no person 'ann'"),
@@ -161,9 +162,11 @@ person-1 = "tiny"
         while service.ask("GET", "/api/people/person-1").json()["task"] != "own":
             assert time.monotonic() < until
             time.sleep(0.05)
-        assert service.ask("POST", "/api/reload").json() == {"changes": 0, "ignored": []}
-        file.write_text(config.replace("c_suggest = 0.1", "c_suggest = 0.3").replace('"tiny"\n', '"own"\n'))
-        assert service.ask("POST", "/api/reload").json() == {"changes": 0, "ignored": ["setting.c_suggest"]}
+        assert service.ask("POST", "/api/reload").json() == {"changes": 0, "restart": [], "new_session": []}
+        file.write_text(config.replace("c_suggest = 0.1", "c_suggest = 0.3\ntick = 5.0").replace('"tiny"\n', '"own"\n'))
+        assert service.ask("POST", "/api/reload").json() == {
+            "changes": 0, "restart": ["setting.tick"], "new_session": ["setting.c_suggest"],
+        }  # fmt: skip
         assert service.ask("POST", "/api/reload", "person-1").status_code == 403
         file.write_text(config + "person-9 = 'tiny'")
         refused = service.ask("POST", "/api/reload")
@@ -175,8 +178,10 @@ person-1 = "tiny"
         "assist.cli", "assist.web.server", "assist.web.service", "assist.web.reports",
     }  # fmt: skip
     assert any(line["message"] == "reloaded" and line["changes"] == 2 for line in lines)
-    restart = "a restart is needed for what else has changed: setting.c_suggest"
-    assert [line["message"] for line in lines if line["logger"] == "assist.web.service"] == [restart]
+    assert [line["message"] for line in lines if line["logger"] == "assist.web.service"] == [
+        "a restart is needed for what else has changed: setting.tick",
+        "a new session, in another folder, is needed for what else has changed: setting.c_suggest",
+    ]
     reports = [(line["event"], line["outcome"]) for line in lines if line["message"] == "report"]
     assert ("rearranged", "recorded") in reports
     assert "person-1" not in said
