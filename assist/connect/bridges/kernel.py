@@ -293,7 +293,8 @@ class Bridge:
         sender = self._senders[person]
         sender.timer = None
         missing = range(sender.order.next, min(sender.order.held))
-        LOG.warning("%s: %s: no report with number %d arrived; later ones go ahead", self.name, person, missing[0])
+        said = "%s: %s: no report with number %d arrived where `observe` listens; later ones go ahead"
+        LOG.warning(said, self.name, person, missing[0])
         self._hand_over(person, sender.order.pass_over())
 
     async def _deliver(self, person: str, sender: _Sender) -> None:

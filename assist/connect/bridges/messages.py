@@ -116,13 +116,18 @@ def filled(template: str, fields: Mapping[str, str], names: Mapping[str, str]) -
     def value(found: re.Match[str]) -> str:
         given = fields.get(found[1])
         if given is None:
-            raise unusable(f"there is no field {found[1]!r}; expected {', '.join(FIELD.findall(template))}")
+            raise unusable(f"there is no field {found[1]!r}; the message has {_names_of(fields)}")
         named = names.get(given, given)
         if not alone and not WORD.fullmatch(named):
             raise unusable(f"field {found[1]!r} is {given[:40]!r}; expected one word")
         return named
 
     return FIELD.sub(value, template)
+
+
+def _names_of(fields: Mapping[str, str]) -> str:
+    """Return the names of a message's fields, as a refusal lists them."""
+    return ", ".join(name[:40] for name in list(fields)[:MANY]) or "none"
 
 
 def texts_of(content: Mapping[str, Any]) -> Fields:
@@ -159,7 +164,7 @@ def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
         content = json.loads(text) if pattern is None else pattern.search(text)
     except (ValueError, RecursionError):  # a ValueError for integers of thousands of digits, too
         expected = "a JSON object" if pattern is None else "text"
-        raise unusable(f"{payload[:40]!r}; expected {expected} in UTF-8") from None
+        raise unusable(f"{payload[:40].decode(errors='replace')!r}; expected {expected} in UTF-8") from None
     if isinstance(content, re.Match):
         return {name: value for name, value in content.groupdict().items() if value is not None}
     if pattern is not None:

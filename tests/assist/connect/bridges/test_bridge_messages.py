@@ -27,8 +27,8 @@ pytest.importorskip("aiomqtt")
 pytest.importorskip("asyncua")
 
 SHOWN = [text for kind, text in BLOCK.findall((ROOT / "docs" / "line.md").read_text()) if kind == "toml"]
-"""The settings of the documentation: of MQTT, of another OPC UA server, of an own one, and of ROS 2."""
-MQTT, OPCUA, OWN, ROS2 = range(4)
+"""The settings of the documentation: of MQTT at first and in full, of an OPC UA server, of an own one, and of ROS 2."""
+FIRST, MQTT, OPCUA, OWN, ROS2 = range(5)
 TEMPLATE, URL = "expected fields as {name}", "expected opc.tcp://host:port/path"
 
 FAULTS = [
@@ -93,7 +93,7 @@ def test_a_fault_of_the_settings_ends_the_command(tmp_path: Path, monkeypatch: p
 
 def test_the_settings_in_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = [tmp_path / f"{name}.toml" for name in ("mqtt", "opcua", "own_server", "ros2")]
-    for file, text in zip(files, SHOWN, strict=True):
+    for file, text in zip(files, SHOWN[MQTT:], strict=True):
         file.write_text(text)
     (advice,) = OpcUaSettings.read(files[1]).advice
     assert (advice.node, advice.person) == ("ns=2;s=A.Light", "ann")
@@ -110,6 +110,13 @@ def test_the_settings_in_the_documentation(tmp_path: Path, monkeypatch: pytest.M
     report = source.report(source.fields("line/ann/action", payload), settings.names)
     assert report == Report("ann", "s-17", values={"action": "(place hammer slot-1)"}, number=3)
     assert (settings.broker.host, settings.port, settings.wait) == ("broker.example", 8883, 10.0)
+    files[0].write_text(SHOWN[FIRST])
+    settings = MqttSettings.read(files[0])
+    (source,) = settings.sources
+    payload = b'{"action": "(fetch box-a)", "id": "scan-1", "n": 1}'
+    assert payload.decode() in (ROOT / "docs" / "line.md").read_text()
+    report = source.report(source.fields("line/person-1/action", payload), settings.names)
+    assert report == Report("person-1", "scan-1", values={"action": "(fetch box-a)"}, number=1)
 
 
 @pytest.mark.parametrize(
@@ -166,9 +173,11 @@ def test_a_topic_has_the_fields_with_which_it_was_filled(values: list[str]) -> N
 def test_templates_take_words_only() -> None:
     assert filled("(put {what} {where})", {"what": "17", "where": "b"}, {"17": "hammer"}) == "(put hammer b)"
     assert filled("{action}", {"action": "(fetch box-a)"}, {}) == "(fetch box-a)"
-    for fields in ({"what": "a b", "where": "c"}, {"what": "a) (b", "where": "c"}, {"what": "a"}):
-        with pytest.raises(Refusal, match="expected"):
+    for fields in ({"what": "a b", "where": "c"}, {"what": "a) (b", "where": "c"}):
+        with pytest.raises(Refusal, match="expected one word"):
             filled("(put {what} {where})", fields, {})
+    with pytest.raises(Refusal, match="there is no field 'where'; the message has what"):
+        filled("(put {what} {where})", {"what": "a"}, {})
 
 
 @given(st.binary())
@@ -184,6 +193,8 @@ def test_fields_of_payloads() -> None:
         "b": "7",
         "f": "1.5",
     }
+    with pytest.raises(Refusal, match="'garbage'; expected a JSON object in UTF-8"):
+        fields_of(b"garbage")
     source = Observed(topic="line/{person}", number="{n}", seq="{seq}")
     report = source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"}, {})
     assert (report.number, report.values, report.fault) == (2, {"action": "(go)", "seq": "0"}, None)
@@ -196,7 +207,9 @@ def test_fields_of_payloads() -> None:
         assert (report.id, report.number) == ("1", number)
         with pytest.raises(Refusal, match="expected a whole number"):
             report.event()
-    with pytest.raises(Refusal, match="there is no field 'n'"):  # which the answer to this id says
+    with pytest.raises(
+        Refusal, match="there is no field 'n'; the message has person, action, id, seq"
+    ):  # which the answer to this id says
         source.report({name: value for name, value in right.items() if name != "n"}, {}).event()
 
 

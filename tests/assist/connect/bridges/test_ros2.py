@@ -184,7 +184,7 @@ def test_refusals_types_of_messages_and_people_who_leave(tmp_path: Path) -> None
     }  # fmt: skip
     assert "box-z" in answers["2"]["detail"]
     assert "'eve' is not in the team" in answers["3"]["detail"]
-    assert answers["4"]["detail"] == "there is no field 'action'; expected action"
+    assert answers["4"]["detail"] == "there is no field 'action'; the message has person, id, seq"
     assert "cancel_action_goal" in {one["op"] for one in ros.heard}
 
 
