@@ -71,7 +71,7 @@ class Drawn(View):
 
 
 class Explained(BaseModel):
-    """Why there is this suggestion for this person now, or none: sentences, and their data."""
+    """Why there is this suggestion for this person now, or none, by the latest decision: sentences, and their data."""
 
     sentences: list[str]
     step: WhyStep | None
