@@ -595,6 +595,24 @@ def test_reports_that_wait_for_a_missing_number_are_said(tmp_path: Path) -> None
     ]
 
 
+def test_a_number_that_never_arrives_is_said_with_where_reports_are_expected(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", "1").replace("wait = 60.0", "wait = 0.01"))
+
+    async def passes_over() -> None:
+        transport = Mqtt(MqttSettings.read(file))
+        bridge = Bridge(transport, "http://127.0.0.1:1/operator#t")
+        bridge.take(transport.message("line/ann/action", b'{"action": "(go)", "id": "2", "n": 2}', lambda: None))
+        while bridge.waits:
+            await asyncio.sleep(0.01)
+        await bridge._tasks.cancel()
+
+    asyncio.run(asyncio.wait_for(passes_over(), 60))
+    said = "MQTT: ann: no report with number 1 arrived where `observe` listens; later ones go ahead"
+    assert said in caplog.text
+
+
 def test_numbers_go_on_after_the_service_has_started_again(broker: Broker, tmp_path: Path) -> None:
     """The broker keeps the subscriptions of the bridge, and this one sends what it keeps to new subscribers only."""
     file = settings_file(tmp_path, broker)
