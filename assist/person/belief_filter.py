@@ -222,5 +222,6 @@ def child(after: Floats, acting: int, slot: int, suggested: int, parts: Parts, m
         p = m.chosen[acting, slot, h]
         for cell in range(h * thetas, (h + 1) * thetas):
             after[cell] = p * influenced[cell] + uniform[cell]
-            mass += after[cell]
+    for cell in range(len(after)):  # apart, as a sum beside the writing depends on where the arrays are in memory
+        mass += after[cell]
     return mass

@@ -13,8 +13,10 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import HumanModel
 from assist.person.alpha_vectors import VectorPolicy
+from assist.person.belief_filter import Parts, child
 from assist.person.mdp_values import evaluate
 from assist.person.pomdp import AssistPOMDP
+from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from planner import Instance
@@ -124,3 +126,18 @@ def test_what_does_not_fit_is_refused(tiny_choices: Choices) -> None:
     ):
         with pytest.raises(ValueError, match="expected"):
             dataclasses.replace(policy, **wrong)  # type: ignore[arg-type]
+
+
+def test_posteriors_do_not_depend_on_where_arrays_are_in_memory(tiny_choices: Choices) -> None:
+    """A saved solution has the values of the one that was saved to the last bit, wherever its arrays come to lie."""
+    pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices))
+    m, size, found = ProblemArrays.of(pomdp), pomdp.prior.size, set()
+    beliefs = np.random.default_rng(0).dirichlet(np.ones(size), 4)
+    for order in ([4, 3, 2, 1, 0], [2, 3, 4, 0, 1], [0, 1, 2, 3, 4]):  # the posterior's array follows one of the parts
+        memory = np.zeros(5 * size)
+        after, *parts = (memory[place * size : (place + 1) * size] for place in order)
+        for part, belief in zip(parts, beliefs, strict=True):
+            part[:] = belief
+        states = np.flatnonzero(~tiny_choices.goal).tolist()
+        found.add(tuple(child(after, x, a, -1, Parts(*parts), m) for x in states for a in range(int(m.counts[x]))))
+    assert len(found) == 1
