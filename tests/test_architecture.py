@@ -49,7 +49,7 @@ ROOMS = {
         attention attention_never outlook questions robots_at_work trust_of_people model_group engine priority whittle
         rollout policies affordable drawn solving union matching pool common_random_numbers goal_knowledge trace
         episodes beginning requested traced_run run simulate belief_trace illustration""",
-    "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
+    "assist.certify.information_relaxation": "confidence belief_nodes options congestion path_search sampled_bound",
     "assist.certify": """options action_prices envelope priced_steps prices certificate visited_beliefs
         computation truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.certify.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum

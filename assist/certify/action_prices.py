@@ -4,6 +4,8 @@ In people's problems every robot has the best ability and the lowest costs of an
 suggestions and of executions account for it that not every robot of the team has them. Let e_m(a) be what an action of
 class a costs robot m more than the best robot: infinite if it cannot execute.
 
+Assumptions. Those of `team_bound`.
+
 Claim. For all prices lambda_t >= 0 of attention and mu_t(a) >= 0 of the two classes of actions, the optimal value J* of
 a team of robots 1, ..., M is at most
 

@@ -3,6 +3,9 @@
 With neighbours who see each other, theta of a person also moves when another one gets a suggestion. The bound of
 `team_bound` then holds if these moves, too, are chosen as well as possible in the subproblem of each person:
 
+Assumptions. Those of `team_bound`, except that theta of a person depends on other people's suggestions: each one that
+they see is an event, whose rule says how far theta can come at least, l_1(theta), and at most, u_1(theta).
+
 Claim. Let [l_m(theta), u_m(theta)] be the values that theta may have after at most m events of a step. Let V_k(lambda)
 be the optimal value, with observed type and theta, of person k's subproblem in which theta, after each step of theirs,
 may be moved to any value in this interval: with m = M robots if none attends to them in this step, else with m = M - 1.
@@ -24,8 +27,6 @@ people who never err, which no theta exceeds (`truncated_bound.bounded` with `th
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
@@ -43,6 +44,12 @@ from ..team.pool import Pool
 
 Ints = NDArray[np.int64]
 
+TOLERANCE = 1e-5
+"""Largest change of a value in the last sweep, in cost units."""
+
+SWEEPS = 10_000
+"""Largest number of sweeps."""
+
 
 class OwnTheta:
     """The bounds on the subproblem of a person who sees nobody: theta moves by suggestions to themselves only."""
@@ -53,7 +60,7 @@ class OwnTheta:
     def tail(self, free: AttentionSubproblem) -> Floats:
         """Return the values with free attention, shape (P * n, H, T), of a subproblem without prices."""
         value = initial_upper_bounds(free.pomdp)
-        value_iteration(free.pomdp, value, tolerance=1e-5)
+        value_iteration(free.pomdp, value, tolerance=TOLERANCE)
         return value
 
     def solved(self, visits: AttentionSubproblem, tail: Floats) -> QMDP:
@@ -101,10 +108,7 @@ class Envelope(OwnTheta):
         value = float((best.value_mdp[best.pomdp.model.choices.initial] * best.pomdp.prior).sum())
         return Lifted(value, value, value)
 
-    def solved(
-        self, visits: AttentionSubproblem, tail: Floats | None = None, *, tolerance: float = 1e-5, sweeps: int = 10_000,
-        deadline: float = math.inf,
-    ) -> QMDP:  # fmt: skip
+    def solved(self, visits: AttentionSubproblem, tail: Floats | None = None) -> QMDP:
         """Return the values of a subproblem in which theta may be moved within the envelope, with their policy.
 
         They are upper bounds after any number of sweeps.
@@ -114,12 +118,6 @@ class Envelope(OwnTheta):
         visits : AttentionSubproblem
         tail : float array, shape (P * n, H, T), optional
             Values with free attention, by position and task state.
-        tolerance : float
-            Largest change in the last sweep, in cost units.
-        sweeps : int
-            Largest number of sweeps.
-        deadline : float
-            Time on the clock of `time.perf_counter()` after which no sweep begins.
         """
         pomdp, layout = visits.pomdp, visits.layout
         value, last = initial_upper_bounds(pomdp), layout.step == len(visits.price)
@@ -129,11 +127,11 @@ class Envelope(OwnTheta):
         for step in range(len(visits.price), -1, -1):
             states = np.flatnonzero((layout.step == step) & goes_on.any(axis=1))
             within, own = goes_on[states][:, :, None], value[states]
-            for _ in range(sweeps if step == len(visits.price) else 1):
+            for _ in range(SWEEPS if step == len(visits.price) else 1):
                 new = np.where(within, self._q(visits, value, states)[states].max(axis=1), own)
                 change, own = float((own - new).max(initial=0.0)), np.minimum(own, new)
                 value[states] = own
-                if change <= tolerance or time.perf_counter() > deadline:
+                if change <= TOLERANCE:
                     break
         return QMDP(pomdp, value.copy(), self._q(visits, value, np.arange(len(value))))
 
@@ -145,7 +143,7 @@ class Envelope(OwnTheta):
 
 
 class Lifted(NamedTuple):
-    """The bound on a subproblem with an envelope, as `computation.Relaxation` reads it; no longer search lowers it."""
+    """The bound on a subproblem with an envelope, as `computation.Relaxation` reads it: a search would not lower it."""
 
     value_qmdp: float
     lower: float

@@ -3,8 +3,6 @@
 The prices are the dual variables of the constraint that M robots attend to at most M people in each step. A stochastic
 subgradient method raises the price of a step in which more than M robots would be busy, and lowers it otherwise. Every
 price vector gives a valid bound; the method approaches the tightest one.
-
-Why the bound holds for people whose goals are unknown stands at `person.each_goal`.
 """
 
 from __future__ import annotations
@@ -104,7 +102,7 @@ class SubproblemKind:
         visits = AttentionSubproblem.of(alone, entry, steps, price, kept=likely(alone, len(price), self.pairs))
         return self.outer.beyond(visits, self.tail)
 
-    def _acting(self, price: Floats) -> tuple[AttentionSubproblem, Callable[[int, Ints], QMDP]]:
+    def _with_policy(self, price: Floats) -> tuple[AttentionSubproblem, Callable[[int, Ints], QMDP]]:
         """Return a subproblem at these prices, and a function for QMDP's policy in given states at each step."""
         if self.between is None:
             visits = self.visits.priced(price)
@@ -124,7 +122,7 @@ class SubproblemKind:
         Return the share of people who receive attention at each step with a price, and the return of each episode. If
         actions have prices, the shares of those who receive a suggestion or an execution follow.
         """
-        visits, policy = self._acting(price)
+        visits, policy = self._with_policy(price)
         number = np.zeros_like(np.atleast_2d(price))
         acted = visits.acted() if len(number) > 1 else ()
 

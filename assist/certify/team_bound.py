@@ -32,7 +32,7 @@ without prices need no step in their states, so that the solver gets further in 
 account for the conflicts.
 
 Why the bound also holds for people with unknown goals, for robots that differ, and for people who see each other helped
-stands at `certify.prices`, `person.fleet` and `certify.envelope`. Prices of actions lower that of robots that differ
+stands at `person.each_goal`, `person.fleet` and `certify.envelope`. Prices of actions lower that of robots that differ
 (`certify.action_prices`).
 
 The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated

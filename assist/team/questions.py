@@ -137,9 +137,6 @@ class Questions:
             if worth[n, k] > NEAR
         ]
 
-    def _about(self, goal: int, policy: Policy) -> GoalQuestion:
-        return GoalQuestion(goal, policy.pomdp.hidden, self.error)
-
     def best_of(self, policy: Policy, joint: JointBelief, attention: float) -> tuple[int, float]:
         """Return the goal to ask a person about whose task state may be uncertain, and the worth minus the cost.
 

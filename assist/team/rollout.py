@@ -306,10 +306,10 @@ class _Paths:
             policy = self.team.policies[group]
             solved = policy.with_robot(self.rollout.base)
             fleet = self.team.fleet
-            acting = fleet.extra_of(its, policy.pomdp.suggested[x, heard] == NOTHING)
+            speaking = fleet.extra_of(its, policy.pomdp.suggested[x, heard] == NOTHING)
             waiting = np.where(does == 1, fleet.extra[its, NOTHING_DONE], 0.0)
             advantage[rows] = solved.advantage(was, at, x, does, h, t)
-            advantage[rows] -= np.where(heard > 0, acting, waiting)
+            advantage[rows] -= np.where(heard > 0, speaking, waiting)
         if len(taken.saw.who):
             advantage += policy.pomdp.gamma * self._gained(taken.saw)
         return gained + advantage.reshape(before.shape).sum(axis=1)

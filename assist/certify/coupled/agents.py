@@ -14,13 +14,18 @@ from scipy import sparse
 
 from planner.system.arrays import outline, read_only
 
-from ...people.arguments import number
+from ...people.arguments import number, positive
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 TOLERANCE = 1e-9
 """Largest rounding error of what is given: of a sum of probabilities, by which they are divided, and below 0."""
+
+
+def units(resources: float) -> float:
+    """Return the checked units of the resource at each step, 0 or more."""
+    return 0.0 if resources == 0 else positive("resources", resources)
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -144,6 +149,23 @@ class Agents:
         reward, _, may = self.flat
         q: Floats = np.where(may, reward + self.gamma * (self.P @ values).reshape(reward.shape), -np.inf)
         return q
+
+    def successors(self, worth: Floats | None = None) -> tuple[Floats, Ints]:
+        """Return cumulative probabilities and successor states, shapes (A * K * S, B), for B successors at most.
+
+        With the worth of states, shape (K * S,), better successors come first. Then the same uniform number has a
+        similar effect after different actions.
+        """
+        count, target = np.diff(self.P.indptr), self.P.indices
+        row = np.repeat(np.arange(len(count)), count)
+        order = slice(None) if worth is None else np.lexsort((-worth[target], row))
+        column = np.arange(len(row)) - np.repeat(self.P.indptr[:-1], count)
+        chance, state = np.zeros((len(count), count.max())), np.zeros((len(count), count.max()), dtype=np.int64)
+        chance[row, column], state[row, column] = self.P.data[order], target[order] % self.shape[2]
+        cumulative = np.cumsum(chance, axis=1)
+        # The last successor takes what rounding errors leave.
+        cumulative[np.arange(cumulative.shape[1]) >= count[:, None] - 1] = np.inf
+        return cumulative, state
 
     def finished(self) -> NDArray[np.bool_]:
         """Return whether each state is left by no action and has no rewards, shape (K * S,)."""

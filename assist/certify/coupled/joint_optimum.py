@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from planner.system.arrays import outline, read_only
 from planner.system.limits import Deadline, LimitError
 
-from ...people.arguments import positive, whole
-from .agents import Agents, Floats, Ints
+from ...people.arguments import whole
+from .agents import Agents, Floats, Ints, units
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def joint_optimum(
     ValueError
         An argument is invalid.
     """
-    limit = resources if resources == 0 else positive("resources", resources)
+    limit = units(resources)
     N, (_, A, S) = len(agents), agents.shape
     if whole("largest", largest, 1) < S**N:
         raise LimitError(f"{N} agents of {S} states have {S**N:,} joint states; expected at most {largest:,} (largest)")

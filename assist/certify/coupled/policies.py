@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ...people.arguments import positive
-from .agents import Agents, Floats, Ints
+from .agents import Agents, Floats, Ints, units
 from .index_policy import IndexPolicy
 from .price_bound import PriceBound, bound, free_values
 from .rollout import RolloutOptions, RolloutPolicy
@@ -49,7 +48,7 @@ def policy(
     """
     if callable(name):
         return name
-    limit = resources if resources == 0 else positive("resources", resources)
+    limit = units(resources)
     if name == "whittle":
         whittle = whittle_index(agents)
         if not whittle.indexable.all():

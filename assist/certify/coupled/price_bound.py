@@ -42,7 +42,7 @@ from planner.system.arrays import outline, read_only
 from planner.system.limits import Deadline
 
 from ...people.arguments import positive, whole
-from .agents import Agents, Floats
+from .agents import Agents, Floats, units
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def bound(
     ValueError
         An argument is invalid.
     """
-    limit = resources if resources == 0 else positive("resources", resources)
+    limit = units(resources)
     ends, tail = Deadline.after(time_limit), free_values(agents)
     if prices is not None:
         given = np.asarray(prices, dtype=float)

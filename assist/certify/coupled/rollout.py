@@ -98,16 +98,16 @@ class RolloutPolicy:
         place = joint + agents.kind * agents.shape[2]
         keys = [zlib.crc32(row.tobytes(), options.seed) + (step << 32) for row in joint]
         P = agents.P
-        fleet = Fleet(
+        arrays = PolicyArrays(
             self.base.gain, self.base.rest, agents.flat[1], float(self.base.resources), self.advantage,
             P.indptr.astype(np.int64), P.indices.astype(np.int64), P.data, agents.gamma,
         )  # fmt: skip
-        effort = Effort(options.samples, options.horizon, options.alternatives, options.errors)
-        found = improved(place, np.array(keys, dtype=np.uint64), step, fleet, effort)
+        effort = options.samples, options.horizon, options.alternatives, float(options.errors)
+        found = improved(place, np.array(keys, dtype=np.uint64), step, arrays, effort)
         return found[at.reshape(-1)]
 
 
-class Fleet(NamedTuple):
+class PolicyArrays(NamedTuple):
     """The agents with their base policy and the bound's values, as compiled code reads them.
 
     Attributes
@@ -134,15 +134,6 @@ class Fleet(NamedTuple):
     target: Ints
     prob: Floats
     gamma: float
-
-
-class Effort(NamedTuple):
-    """Attributes as in `RolloutOptions`."""
-
-    samples: int
-    horizon: int
-    alternatives: int
-    errors: float
 
 
 @njit()
@@ -226,17 +217,22 @@ def _is_new(found: Ints, count: int) -> bool:
 
 
 @njit()
-def improved(places: Ints, keys: NDArray[np.uint64], step: int, fleet: Fleet, effort: Effort) -> Ints:
-    """Return the improved actions at joint states `places`, both of shape (U, N)."""
+def improved(
+    places: Ints, keys: NDArray[np.uint64], step: int, arrays: PolicyArrays, effort: tuple[int, int, int, float]
+) -> Ints:  # fmt: skip
+    """Return the improved actions at joint states `places`, both of shape (U, N).
+
+    `effort` has the samples, horizon, alternatives and errors of `RolloutOptions`.
+    """
     U, N = places.shape
-    gain, rest, use, advantage, n = fleet.gain, fleet.rest, fleet.use, fleet.advantage, fleet.advantage.shape[2]
-    samples, horizon = effort.samples, effort.horizon
+    gain, rest, use, advantage, n = arrays.gain, arrays.rest, arrays.use, arrays.advantage, arrays.advantage.shape[2]
+    samples, horizon, alternatives, errors = effort
     out = np.empty((U, N), dtype=np.int64)
     nobody, now, action = np.zeros(N, dtype=np.bool_), np.empty(N, dtype=np.int64), np.empty(N, dtype=np.int64)
-    total = np.empty((effort.alternatives + 1, samples))
+    total = np.empty((alternatives + 1, samples))
     for u in range(U):
         at = min(step, len(gain) - 1)
-        options, count = propose(gain[at], use, rest[at], places[u], fleet.resources, effort.alternatives)
+        options, count = propose(gain[at], use, rest[at], places[u], arrays.resources, alternatives)
         out[u] = options[0]
         if count == 1:
             continue
@@ -252,23 +248,23 @@ def improved(places: Ints, keys: NDArray[np.uint64], step: int, fleet: Fleet, ef
                         break
                     for k in range(N):
                         row = action[k] * n + now[k]
-                        begin, end = fleet.indptr[row], fleet.indptr[row + 1]
+                        begin, end = arrays.indptr[row], arrays.indptr[row + 1]
                         if end - begin > 1:
                             x, j = uniform(keys[u], (r * horizon + h) * N + k), begin
-                            while j < end - 1 and x >= fleet.prob[j]:
-                                x -= fleet.prob[j]
+                            while j < end - 1 and x >= arrays.prob[j]:
+                                x -= arrays.prob[j]
                                 j += 1
-                            now[k] = fleet.target[j]
+                            now[k] = arrays.target[j]
                         else:
-                            now[k] = fleet.target[begin]
-                    discount *= fleet.gamma
+                            now[k] = arrays.target[begin]
+                    discount *= arrays.gamma
                     after = min(step + h + 1, len(gain) - 1)
-                    serve(gain[after], use, rest[after], now, fleet.resources, nobody, action)
+                    serve(gain[after], use, rest[after], now, arrays.resources, nobody, action)
                 total[c, r] = value
         best = 0.0
         for c in range(1, count):
             more = total[c] - total[0]
-            if more.mean() > max(best, effort.errors * more.std() / np.sqrt(samples)):
+            if more.mean() > max(best, errors * more.std() / np.sqrt(samples)):
                 best = more.mean()
                 out[u] = options[c]
     return out

@@ -35,9 +35,9 @@ import numpy as np
 from planner.system.jit import njit
 from planner.system.limits import Deadline
 
-from ...people.arguments import Seed, entropy, positive, whole
+from ...people.arguments import Seed, entropy, whole
 from ..information_relaxation.confidence import SampledBound
-from .agents import Agents, Floats, Ints
+from .agents import Agents, Floats, Ints, units
 from .price_bound import PriceBound, bound_for
 
 
@@ -69,7 +69,7 @@ def sampled_bound(
     ValueError
         An argument is invalid, or the bound is for other units of the resource.
     """
-    limit = float(resources if resources == 0 else positive("resources", resources))
+    limit = units(resources)
     count, joint = whole("paths", paths, 2), whole("largest", largest, 1)
     ends = Deadline.after(time_limit)
     solved = bound_for(agents, limit, prices, time_limit=None if time_limit is None else time_limit / 2)
@@ -79,7 +79,7 @@ def sampled_bound(
     for t, price in enumerate(solved.prices):
         ahead = agents.gamma * (agents.P @ solved.at(t + 1)).reshape(reward.shape)
         loss[t] = np.where(may, np.maximum(solved.at(t) - reward + price * use - ahead, 0.0), np.inf)
-    chance, successor = _ordered(agents, solved.at(W))
+    chance, successor = agents.successors(solved.at(W))
     of = agents.kind[:, None] * S + np.arange(S)  # the rows of each agent
     use, loss = np.ascontiguousarray(use[:, of]), np.ascontiguousarray(loss[:, :, of])
     row = np.arange(A)[:, None, None] * reward.shape[1] + of
@@ -97,23 +97,6 @@ def sampled_bound(
             least = _least_at_prices(start, to, loss, use, solved.prices, limit, agents.gamma)
         found.append(solved.upper - least)
     return SampledBound.of(found, len(found), 0.0)
-
-
-def _ordered(agents: Agents, worth: Floats) -> tuple[Floats, Ints]:
-    """Return cumulative probabilities and successor states, shapes (A * K * S, B), for B successors at most.
-
-    Better successors come first, so that the same number has a similar effect after different actions.
-    """
-    P, S = agents.P, agents.shape[2]
-    count = np.diff(P.indptr)
-    row = np.repeat(np.arange(len(count)), count)
-    order = np.lexsort((-worth[P.indices], row))
-    column = np.arange(len(row)) - np.repeat(P.indptr[:-1], count)
-    chance, state = np.zeros((len(count), count.max())), np.zeros((len(count), count.max()), dtype=np.int64)
-    chance[row, column], state[row, column] = P.data[order], P.indices[order] % S
-    cumulative = np.cumsum(chance, axis=1)
-    cumulative[np.arange(cumulative.shape[1]) >= count[:, None] - 1] = np.inf  # rounding errors go to the last one
-    return cumulative, state
 
 
 @njit()

@@ -168,20 +168,6 @@ def certify(
     return CoupledCertificate(found, upper)
 
 
-def _successors(agents: Agents) -> tuple[Floats, Ints]:
-    """Return cumulative probabilities and successor states, each of shape (A * K * S, B), for B successors at most."""
-    count = np.diff(agents.P.indptr)
-    row = np.repeat(np.arange(len(count)), count)
-    column = np.arange(len(row)) - np.repeat(agents.P.indptr[:-1], count)
-    chance, state = np.zeros((len(count), count.max())), np.zeros((len(count), count.max()), dtype=np.int64)
-    chance[row, column] = agents.P.data
-    state[row, column] = agents.P.indices % agents.shape[2]
-    cumulative = np.cumsum(chance, axis=1)
-    # The last successor takes what rounding errors leave.
-    cumulative[np.arange(cumulative.shape[1]) >= count[:, None] - 1] = np.inf
-    return cumulative, state
-
-
 def _block(
     agents: Agents, act: CoupledPolicy, resources: float, numbers: Ints, key: int, last: int,
     control: PriceBound | None,
@@ -190,7 +176,7 @@ def _block(
     K, _, S = agents.shape
     n, N = K * S, len(agents)
     reward, use, may = agents.flat
-    cumulative, successor = _successors(agents)
+    cumulative, successor = agents.successors()
     finished = agents.finished()
     offset = agents.kind * S
     total, varied, discount = np.zeros(len(numbers)), np.zeros(len(numbers)), 1.0

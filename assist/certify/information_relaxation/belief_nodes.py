@@ -1,11 +1,13 @@
 """One person's subproblem relaxed to finitely many beliefs, and the graph of one sample path.
 
-The relaxation. A solution's upper bound at a belief b is a mixture of its bounds at stored beliefs b_i, including the
-beliefs of single types (the corners): b = sum_i w_i b_i. Let a b_i be drawn with probability w_i and revealed to the
-robot. The robot then has more information, so that its optimal value does not decrease. The result is a problem with
-finitely many nodes, each a state with one of its stored beliefs (Lovejoy, "Computationally feasible bounds for
-partially observed Markov decision processes", 1991, for a fixed grid). The edges of a node are computed when it is
-first visited.
+*Claim.* A solution's upper bound at a belief b is a mixture of its bounds at stored beliefs b_i, including the beliefs
+of single types (the corners): b = sum_i w_i b_i. If a b_i is drawn with probability w_i and revealed to the robot, its
+optimal value does not decrease. *Proof.* The type has the distribution b before and after the draw, and the robot may
+ignore what is revealed.
+
+The result is a problem with finitely many nodes, each a state with one of its stored beliefs (Lovejoy, "Computationally
+feasible bounds for partially observed Markov decision processes", 1991, for a fixed grid). The edges of a node are
+computed when it is first visited.
 
 A sample path is one number in [0, 1) for each step. It determines the outcome of every robot action, so that each
 action leads from a node to one other node. The reachable nodes form a `SampleGraph`, layer by layer, because many paths

@@ -124,7 +124,7 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemKi
     """It does so at the price of its step, to values with the prices of all later steps."""
     kind, price = truncated, np.array([1.0, 0.5, 0.2])
     assert kind.between is not None
-    visits, policy = kind._acting(price)
+    visits, policy = kind._with_policy(price)
     assert visits is kind.between.visits
     after, pomdp = [kind.between.value], visits.pomdp
     for step in (2, 1, 0):

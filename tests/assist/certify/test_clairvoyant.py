@@ -29,7 +29,8 @@ from assist.certify.information_relaxation.belief_nodes import (
 from assist.certify.information_relaxation.confidence import SampledBound
 from assist.certify.information_relaxation.congestion import Scale, lost
 from assist.certify.information_relaxation.options import RelaxationOptions
-from assist.certify.information_relaxation.sampled_bound import InformationRelaxation, SamplePath
+from assist.certify.information_relaxation.path_search import SamplePath
+from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
 from assist.certify.prices import kinds_of
 from assist.certify.team_bound import upper_bound
 from assist.cli.output.person_bounds import show_samples
