@@ -212,7 +212,7 @@ class ToAnybody:
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return a suggestion."""
         actions = np.ones(team.x.shape, dtype=np.int64)
-        for group, rows in team.groups():
+        for group, rows in team.by_policy():
             actions.reshape(-1)[rows] = team.policies[group].pomdp.robot_actions[team.x.reshape(-1)[rows]]
         person = np.where(team.active, self.rng.random(team.x.shape), -1.0).argmax(axis=1)
         return team.act(person[:, None], self.rng.integers(1, actions.clip(2)))

@@ -55,11 +55,11 @@ def check(team: TeamState, action: TeamAction) -> None:
         # Robots may be with one person already, if somebody else has moved them.
         if (team.location[n, there] != place).any() or (action.person[n, there] != NOBODY).sum() > 1:
             raise refused("lets two robots be with one person, or on their way there")
-    for model, rows in by_model(team.model[teams, to], np.flatnonzero(said != 0), len(team.policies)):
-        pomdp, x = team.policies[model].pomdp, team.x[teams[rows], to[rows]]
-        if ((said[rows] < 0) | (said[rows] >= pomdp.robot_actions[x])).any():
+    for model, those in by_model(team.model[teams, to], np.flatnonzero(said != 0), len(team.policies)):
+        pomdp, x = team.policies[model].pomdp, team.x[teams[those], to[those]]
+        if ((said[those] < 0) | (said[those] >= pomdp.robot_actions[x])).any():
             raise refused("makes a suggestion that the person's state does not have")
         if team.fleet.executes:
-            unable = np.isinf(team.fleet.extra_of(robot[rows], pomdp.suggested[x, said[rows]] == NOTHING))
+            unable = np.isinf(team.fleet.extra_of(robot[those], pomdp.suggested[x, said[those]] == NOTHING))
             if unable.any():
-                raise refused(f"lets robot {robot[rows][unable][0] + 1} execute an action, which it cannot")
+                raise refused(f"lets robot {robot[those][unable][0] + 1} execute an action, which it cannot")

@@ -17,7 +17,7 @@ class CommonRandomNumbers:
 
     def __init__(self, seed: int, numbers: NDArray[np.int64], places: int) -> None:
         self.blocks, self.block = np.unique(numbers // BLOCK, return_inverse=True)
-        self.seed, self.row, self.places = seed, numbers % BLOCK, places
+        self.seed, self.within, self.places = seed, numbers % BLOCK, places
         self.drawn = np.empty((len(self.blocks), BLOCK, places))
         self._streams: dict[int, list[np.random.Generator]] = {}
 
@@ -29,20 +29,20 @@ class CommonRandomNumbers:
             self._streams[kind] = [np.random.default_rng(one) for one in seeds]
         return self._streams[kind]
 
-    def draw(self, kind: int, rows: NDArray[np.int64]) -> Floats:
+    def draw(self, kind: int, episodes: NDArray[np.int64]) -> Floats:
         """Return uniform numbers of a `Kind` for some episodes.
 
         Each call advances the streams. An episode has the same numbers whatever others are simulated if there is one
         call in each of its steps, for all episodes that have not ended, whether or not the numbers are used.
         """
         advances = np.zeros(len(self.drawn), dtype=bool)  # the streams of finished episodes need not
-        advances[self.block[rows]] = True
+        advances[self.block[episodes]] = True
         streams = self.streams(kind)
         for block in np.flatnonzero(advances).tolist():
             streams[block].random(out=self.drawn[block])
-        return self.drawn[self.block[rows], self.row[rows]]
+        return self.drawn[self.block[episodes], self.within[episodes]]
 
     def team(self, pool: int) -> NDArray[np.int64]:
         """Return K distinct numbers of a pool for each episode, shape (N, K)."""
         order = [stream.permuted(np.tile(np.arange(pool), (BLOCK, 1)), axis=1) for stream in self.streams(Kind.TEAM)]
-        return np.stack(order)[self.block, self.row, : self.places]
+        return np.stack(order)[self.block, self.within, : self.places]

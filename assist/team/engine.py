@@ -207,27 +207,27 @@ class Engine:
         # What is said is a robot action in the most probable state, what is heard the same one in the person's own.
         said, executes, charged = self._say(sent)
         heard = self.beliefs.heard(
-            said.reshape(-1), them.row.reshape(-1), [(policies[number].pomdp, rows) for number, rows in now.by_policy]
+            said.reshape(-1), them.row.reshape(-1), [(policies[number].pomdp, flat) for number, flat in now.by_policy]
         ).reshape(said.shape)
         groups = self.tasks.groups
         before, theta, uniform = them.row.copy(), them.theta.copy(), np.empty((*said.shape, 2))
         for column, kind in enumerate((Kind.CHOICE, Kind.THETA) if them.on_grid else (Kind.CHOICE,)):
             uniform[now.running, :, column] = them.draws.draw(kind, now.running)
-        acting = PeopleArrays.of_teams(them.row, heard, self.tasks.who, them.theta, them.outcomes, uniform)
+        arrays = PeopleArrays.of_teams(them.row, heard, self.tasks.who, them.theta, them.outcomes, uniform)
         place, finished = them.place.reshape(-1), them.finished.reshape(-1)
-        for number, rows in now.by_policy:
+        for number, flat in now.by_policy:
             group = groups[number]
-            group.act(rows, acting)
-            finished[rows] = group.ended(rows, acting)
-            place[rows] = policies[number].places(acting.x[rows])
-        acts = Acts(before.reshape(-1), acting.heard, acting.slot, ~finished)
-        models = [(groups[number].model, rows) for number, rows in now.by_policy]
+            group.act(flat, arrays)
+            finished[flat] = group.ended(flat, arrays)
+            place[flat] = policies[number].places(arrays.x[flat])
+        acts = Acts(before.reshape(-1), arrays.heard, arrays.slot, ~finished)
+        models = [(groups[number].model, flat) for number, flat in now.by_policy]
         self.beliefs.observe(acts, said.reshape(-1), models, self._uniform)
-        saw = let_see(them, self.beliefs, acts, acting.x, models, self._uniform)
-        cost, clock = acting.cost.reshape(said.shape), self.clock.copy()
+        saw = let_see(them, self.beliefs, acts, arrays.x, models, self._uniform)
+        cost, clock = arrays.cost.reshape(said.shape), self.clock.copy()
         self.clock[now.running] += 1
         self._now, self._charged = None, np.zeros(said.shape)
-        slot = acting.slot.reshape(said.shape)
+        slot = arrays.slot.reshape(said.shape)
         return StepTaken(now, clock, sent, executes, before, heard, theta, slot, cost, -charged - cost, saw)
 
     def _say(self, sent: Sent) -> tuple[Ints, Bools, Floats]:
@@ -248,12 +248,12 @@ class Engine:
         x, at = self.beliefs.x.reshape(said.shape), (sent.team, sent.person)
         said[at] = sent.action
         charged[at] += sent.cost
-        for number, rows in by_model(self.tasks.model[at], np.flatnonzero(sent.action > 0), len(policies)):
-            to, does, arrays = (sent.team[rows], sent.person[rows]), sent.action[rows], groups[number].arrays
-            executes[rows] = arrays.suggested[x[to], does] == NOTHING
+        for number, those in by_model(self.tasks.model[at], np.flatnonzero(sent.action > 0), len(policies)):
+            to, does, arrays = (sent.team[those], sent.person[those]), sent.action[those], groups[number].arrays
+            executes[those] = arrays.suggested[x[to], does] == NOTHING
             charged[to] += arrays.robot_costs[x[to], does]
             if fleet.costs_differ:
-                charged[to] += fleet.extra_of(sent.robot[rows], executes[rows])
+                charged[to] += fleet.extra_of(sent.robot[those], executes[those])
         return said, executes, charged
 
     def _charge_waiting(self, sent: Sent) -> None:
@@ -265,10 +265,10 @@ class Engine:
         team, robot = np.nonzero(waits)
         person = robots.location[team, robot]
         at_work = np.flatnonzero(self.now.active[team, person])
-        for number, rows in by_model(tasks.model[team, person], at_work, len(tasks.policies)):
-            there = team[rows], person[rows]
+        for number, those in by_model(tasks.model[team, person], at_work, len(tasks.policies)):
+            there = team[those], person[those]
             cost = tasks.groups[number].arrays.robot_costs[x[there], 0]
-            np.add.at(self._charged, there, cost + robots.fleet.extra[robot[rows], NOTHING_DONE])
+            np.add.at(self._charged, there, cost + robots.fleet.extra[robot[those], NOTHING_DONE])
 
     def _uniform(self, kind: int) -> Floats:
         """Return uniform numbers of a kind for all people, 0 in teams that do not run any more."""

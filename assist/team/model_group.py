@@ -76,18 +76,18 @@ class ModelGroup:
             self._model = PersonModel.of(self.policy)
         return self._model
 
-    def ended(self, rows: Ints, people: PeopleArrays) -> NDArray[np.bool_]:
-        """Return whether the episode has ended for the people of some rows."""
-        return np.asarray(self.arrays.final[self._minds.goal[people.who[rows]], people.x[rows]])
+    def ended(self, flat: Ints, people: PeopleArrays) -> NDArray[np.bool_]:
+        """Return whether the episode has ended for some people."""
+        return np.asarray(self.arrays.final[self._minds.goal[people.who[flat]], people.x[flat]])
 
-    def act(self, rows: Ints, people: PeopleArrays) -> None:
-        """Let the people of some rows, all of this model, act once."""
-        at, there = self._problem.effects(people.x[rows], people.heard[rows])
-        model, minds, perceived = self._ready(people.who[rows[at]], there)
+    def act(self, flat: Ints, people: PeopleArrays) -> None:
+        """Let some people, all of this model, act once."""
+        at, there = self._problem.effects(people.x[flat], people.heard[flat])
+        model, minds, perceived = self._ready(people.who[flat[at]], there)
         if self._rule is None:
-            act(rows, people, minds, model.arrays)
+            act(flat, people, minds, model.arrays)
         else:
-            TrustOfPeople(self._rule, perceived, model.optimal).act(rows, people, minds, model.arrays)
+            TrustOfPeople(self._rule, perceived, model.optimal).act(flat, people, minds, model.arrays)
 
     def _ready(self, who: Ints, x: Ints) -> tuple[PersonModel, Minds, Floats]:
         """Compute what some people would choose in some rows, both of shape (N,), where it is not known yet."""

@@ -53,20 +53,20 @@ def outlook(team: TeamState, actions: int, value: Value) -> Floats:
         return np.zeros((1, 1, actions))
     found, shown = np.zeros((n * people, actions)), np.zeros((n, people), dtype=bool)
     shown[:, : len(seen.watched)] = seen.watched
-    for group, every in team.groups():
-        rows = every[shown.reshape(-1)[every]]
-        policy, (x, belief) = team.policies[group], team.known_of(rows)
+    for group, every in team.by_policy():
+        flat = every[shown.reshape(-1)[every]]
+        policy, (x, belief) = team.policies[group], team.known_of(flat)
         chance, gain = _answers(policy, x, belief, actions)
         which, slot, follows = np.nonzero(chance.any(axis=1))
-        helped = rows[which]
+        helped = flat[which]
         at, who, sees = seen.onlookers(helped % people, team.active[helped // people])
         effect = _effects(
             team, helped[at] // people * people + who, gain[which[at], slot[at]], follows[at] == 1, sees, value
         )
         each = np.bincount(at, effect, minlength=len(helped))
-        by_answer = np.zeros((len(rows), *chance.shape[2:]))
+        by_answer = np.zeros((len(flat), *chance.shape[2:]))
         by_answer[which, slot, follows] = each
-        found[rows] = policy.pomdp.gamma * np.einsum("nraf,naf->nr", chance, by_answer)
+        found[flat] = policy.pomdp.gamma * np.einsum("nraf,naf->nr", chance, by_answer)
     return found.reshape(n, people, actions)
 
 

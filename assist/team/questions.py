@@ -119,10 +119,10 @@ class Questions:
         """
         attention = np.minimum(1, robots / np.maximum(1, active.sum(axis=1)))
         goal, worth = np.zeros(active.shape, dtype=np.int64), np.full(active.shape, -np.inf)
-        for number, rows in by_model(model.reshape(-1), np.flatnonzero(active), len(self.policies)):
-            at = np.unravel_index(rows, active.shape)
+        for number, flat in by_model(model.reshape(-1), np.flatnonzero(active), len(self.policies)):
+            at = np.unravel_index(flat, active.shape)
             goal[at], worth[at] = self.best(
-                self.policies[number], beliefs.x[rows], beliefs.belief[rows], attention[at[0]]
+                self.policies[number], beliefs.x[flat], beliefs.belief[flat], attention[at[0]]
             )
         teams = np.flatnonzero(active.any(axis=1))
         person = first_best(worth[teams])

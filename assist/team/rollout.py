@@ -133,9 +133,9 @@ class Rollout:
         """Return priority's action in every team, or an alternative that is better by simulation."""
         actions, simulated = self._alternatives(team)
         best = np.zeros(len(team.x), dtype=np.int64)
-        rows = np.flatnonzero(simulated.any(axis=1))
-        if len(rows):
-            best[rows] = self._best(team, rows, actions, simulated[rows])
+        teams = np.flatnonzero(simulated.any(axis=1))
+        if len(teams):
+            best[teams] = self._best(team, teams, actions, simulated[teams])
         each = np.arange(len(team.x))
         return TeamAction(*(np.stack([getattr(one, name) for one in actions])[best, each] for name in _ACTION))
 
@@ -170,7 +170,7 @@ class Rollout:
                 simulated[:, place] &= ~np.concatenate(same, axis=1).all(axis=1)
         return actions, simulated
 
-    def _best(self, team: TeamState, rows: Ints, actions: list[TeamAction], simulated: Bools) -> Ints:
+    def _best(self, team: TeamState, teams: Ints, actions: list[TeamAction], simulated: Bools) -> Ints:
         """Return the number of the best action in some teams: 0 unless an alternative is better by enough."""
         alive = np.concatenate([simulated.any(axis=1, keepdims=True), simulated], axis=1)
         total, squares, mean, error = (np.zeros(alive.shape) for _ in range(4))
@@ -179,7 +179,7 @@ class Rollout:
             size = round(share * self.options.samples) - done
             done += size
             for part in self._parts(alive, size, team.x.shape[1]):
-                paths = _Paths(self, team, rows[part], actions, alive[part], size, batch)
+                paths = _Paths(self, team, teams[part], actions, alive[part], size, batch)
                 ahead = np.zeros((*alive[part].shape, size))
                 ahead[alive[part]] = paths.values()
                 ahead -= ahead[:, :1]
@@ -193,9 +193,9 @@ class Rollout:
 
     def _parts(self, alive: Bools, size: int, people: int, at_once: int = 30_000) -> list[Ints]:
         """Divide the teams with alternatives that are left into parts with about `at_once` people on all paths."""
-        rows = np.flatnonzero(alive[:, 0])
-        paths = np.cumsum(alive[rows].sum(axis=1)) * size * people
-        return np.split(rows, np.flatnonzero(np.diff(paths // at_once)) + 1) if len(rows) else []
+        teams = np.flatnonzero(alive[:, 0])
+        paths = np.cumsum(alive[teams].sum(axis=1)) * size * people
+        return np.split(teams, np.flatnonzero(np.diff(paths // at_once)) + 1) if len(teams) else []
 
 
 _ACTION = ("person", "action")
@@ -224,7 +224,7 @@ class _Paths:
     ----------
     rollout : Rollout
     team : TeamState
-    rows : int array, shape (n,)
+    teams : int array, shape (n,)
         The teams.
     actions : list of TeamAction
         Actions for all teams.
@@ -236,20 +236,20 @@ class _Paths:
     """
 
     def __init__(
-        self, rollout: Rollout, team: TeamState, rows: Ints, actions: list[TeamAction], used: Bools, samples: int,
+        self, rollout: Rollout, team: TeamState, teams: Ints, actions: list[TeamAction], used: Bools, samples: int,
         batch: int,
     ) -> None:  # fmt: skip
         n, c = np.nonzero(used)
         self.rollout, self.team, self.samples = rollout, team, samples
         self.pairs, people = len(n), team.x.shape[1]
-        rng, own = np.random.default_rng([rollout.options.seed, batch]), rows[n].repeat(samples)
-        person, said = (np.stack([getattr(one, name) for one in actions])[c, rows[n]] for name in _ACTION)
+        rng, own = np.random.default_rng([rollout.options.seed, batch]), teams[n].repeat(samples)
+        person, said = (np.stack([getattr(one, name) for one in actions])[c, teams[n]] for name in _ACTION)
         self.first = TeamAction(person.repeat(samples, axis=0), said.repeat(samples, axis=0))
         grid = team.policies[0].pomdp.grid
         assert team.belief is not None
         strata = np.stack([rng.permutation(samples) for _ in range(people)], axis=1)
         uniform = (strata + rng.random(strata.shape)) / samples
-        cells = team.belief[rows[n]].reshape(self.pairs, 1, people, -1).cumsum(axis=3)
+        cells = team.belief[teams[n]].reshape(self.pairs, 1, people, -1).cumsum(axis=3)
         cells = (cells <= uniform[:, :, None] * cells[..., -1:]).sum(axis=3).reshape(-1, people)
         mind, cell = np.divmod(cells, len(grid.theta))
 
@@ -301,15 +301,15 @@ class _Paths:
         cell = np.searchsorted(grid.values, taken.theta) + outcomes * len(grid.values)
         after_way, advantage = np.where(now == AWAY, before, now), np.zeros(before.size)
         each = (before, after_way, move, taken.heard, by, taken.before, engine.tasks.who, cell)
-        for group, rows in taken.now.by_policy:
-            was, at, does, heard, its, x, h, t = (array.reshape(-1)[rows] for array in each)
+        for group, flat in taken.now.by_policy:
+            was, at, does, heard, its, x, h, t = (array.reshape(-1)[flat] for array in each)
             policy = self.team.policies[group]
             solved = policy.with_robot(self.rollout.base)
             fleet = self.team.fleet
             speaking = fleet.extra_of(its, policy.pomdp.suggested[x, heard] == NOTHING)
             waiting = np.where(does == 1, fleet.extra[its, NOTHING_DONE], 0.0)
-            advantage[rows] = solved.advantage(was, at, x, does, h, t)
-            advantage[rows] -= np.where(heard > 0, speaking, waiting)
+            advantage[flat] = solved.advantage(was, at, x, does, h, t)
+            advantage[flat] -= np.where(heard > 0, speaking, waiting)
         if len(taken.saw.who):
             advantage += policy.pomdp.gamma * self._gained(taken.saw)
         return gained + advantage.reshape(before.shape).sum(axis=1)
@@ -334,12 +334,12 @@ class _Paths:
             policy, mine = self.team.policies[group], everybody[(was != now)[everybody]]
             solved = policy.with_robot(self.rollout.base)
             for place in np.unique(position[mine]).tolist():
-                rows = mine[position[mine] == place]
+                flat = mine[position[mine] == place]
                 for theta, sign in ((was, -1), (now, 1)):
-                    certain = np.zeros((len(rows), *policy.pomdp.prior.shape))
-                    cell = np.searchsorted(grid.values, theta[rows]) + count[rows] * len(grid.values)
-                    certain[np.arange(len(rows)), mind[rows], cell] = 1.0
-                    found[rows] += sign * solved.q_values(0, place, x[rows], certain).max(axis=1)
+                    certain = np.zeros((len(flat), *policy.pomdp.prior.shape))
+                    cell = np.searchsorted(grid.values, theta[flat]) + count[flat] * len(grid.values)
+                    certain[np.arange(len(flat)), mind[flat], cell] = 1.0
+                    found[flat] += sign * solved.q_values(0, place, x[flat], certain).max(axis=1)
         return found
 
     def _positions(self, clock: Ints) -> Ints:

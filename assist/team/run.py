@@ -80,21 +80,21 @@ class Simulation:
     questions: Questions | None
     over: Event
 
-    def chunk(self, rows: slice, tracer: Tracer | None = None, *, keeps_beliefs: bool = False) -> Episodes:
+    def chunk(self, part: slice, tracer: Tracer | None = None, *, keeps_beliefs: bool = False) -> Episodes:
         """Simulate some episodes until all people have finished or the limit is reached; return the records.
 
         Parameters
         ----------
-        rows : slice
+        part : slice
             Which of the requested episodes.
         tracer : Tracer, optional
         keeps_beliefs : bool
             Whether beliefs are kept for policies, too, that do not use them.
         """
-        pool, wanted, numbers = self.pool, self.wanted, self.wanted.numbers[rows]
+        pool, wanted, numbers = self.pool, self.wanted, self.wanted.numbers[part]
         draws = CommonRandomNumbers(wanted.seed, numbers, wanted.places)
         # It is in C order, and all arrays derived from it are, too. They are changed in place through flat views.
-        people = np.ascontiguousarray(draws.team(len(pool.people)) if wanted.teams is None else wanted.teams[rows])
+        people = np.ascontiguousarray(draws.team(len(pool.people)) if wanted.teams is None else wanted.teams[part])
         every = np.arange(len(numbers))
         began = self.beginnings.of(people, lambda kind: draws.draw(kind, every))
         uses_beliefs = getattr(self.policy, "uses_belief", True)

@@ -56,20 +56,20 @@ def let_see(
         return Saw()
     gain, told, follows = np.zeros(len(after)), np.zeros(len(after), dtype=bool), np.zeros(len(after), dtype=bool)
     at_work, models = np.zeros(shape, dtype=bool), list(models)
-    for model, rows in models:
-        at_work.reshape(-1)[rows] = acts.goes_on[rows]
-        own = acts.of(rows)
+    for model, flat in models:
+        at_work.reshape(-1)[flat] = acts.goes_on[flat]
+        own = acts.of(flat)
         suggested = model.pomdp.suggested[own.x, own.heard]
-        advised = shown.reshape(-1)[rows] & (suggested != NOTHING) & (own.slot != NOTHING)
-        told[rows], follows[rows] = advised, own.slot == suggested
-        gain[rows[advised]] = gained(model.policy, own.x[advised], after[rows[advised]])
+        advised = shown.reshape(-1)[flat] & (suggested != NOTHING) & (own.slot != NOTHING)
+        told[flat], follows[flat] = advised, own.slot == suggested
+        gain[flat[advised]] = gained(model.policy, own.x[advised], after[flat[advised]])
     those, saw = np.flatnonzero(told), [Saw()]
     if not len(those):
         return Saw()
     helped = Helped(*np.divmod(those, shape[1]), gain[those], follows[those])
-    for model, rows in models:
+    for model, flat in models:
         grid, there = model.pomdp.grid, np.zeros(shape, dtype=bool)
-        there.reshape(-1)[rows] = at_work.reshape(-1)[rows]
+        there.reshape(-1)[flat] = at_work.reshape(-1)[flat]
         theta, count = them.theta.reshape(-1), them.outcomes.reshape(-1)
         who, moved = neighbours.moved(theta[:, None], helped, there)
         saw.append(Saw(who, theta[who]))

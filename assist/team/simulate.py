@@ -103,11 +103,11 @@ def simulate(
     questions = Questions.of(pool.policies, pool.setting)
     simulation = Simulation(pool, policy, wanted, beginnings, groups, questions, Event())
 
-    def run(rows: slice) -> tuple[Episodes, list[Trace]]:
+    def run(part: slice) -> tuple[Episodes, list[Trace]]:
         if trace is None:
-            return simulation.chunk(rows), []
-        tracer = Tracer(pool, wanted.name, policy, wanted.numbers[rows], reasons)
-        return simulation.chunk(rows, tracer, keeps_beliefs=reasons is not None), tracer.traces
+            return simulation.chunk(part), []
+        tracer = Tracer(pool, wanted.name, policy, wanted.numbers[part], reasons)
+        return simulation.chunk(part, tracer, keeps_beliefs=reasons is not None), tracer.traces
 
     count, found = len(wanted.numbers), list[Episodes]()
     advance = adding(progress, f"simulating {wanted.name}" + " and explaining its suggestions" * explained, count)

@@ -141,15 +141,15 @@ class TeamState:
         """Return the error for a fault of the policy in this step."""
         return UserCodeError(f"step {self.step}: {fault}")
 
-    def groups(self) -> list[tuple[int, NDArray[np.int64]]]:
+    def by_policy(self) -> list[tuple[int, NDArray[np.int64]]]:
         """Return each model that an active person has, with the indices of its people in the flattened arrays."""
         return by_model(self.model.ravel(), np.flatnonzero(self.active), len(self.policies))
 
-    def known_of(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
-        """Return the states, shape (m,), and beliefs, shape (m, H, T), of people with indices as in `groups`."""
+    def known_of(self, flat: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
+        """Return the states, shape (m,), and beliefs, shape (m, H, T), of people with indices as in `by_policy`."""
         if self.belief is None:
             raise ValueError("the policy has said that it uses no beliefs; expected no `uses_belief = False` here")
-        return self.x.ravel()[rows], self.belief.reshape(-1, *self.belief.shape[2:]).take(rows, axis=0)
+        return self.x.ravel()[flat], self.belief.reshape(-1, *self.belief.shape[2:]).take(flat, axis=0)
 
     def of_each(self, ask: Ask) -> Floats:
         """Return the answer to a question about every active person, shape (N, K, W), expected over what is uncertain.
@@ -162,10 +162,10 @@ class TeamState:
         ask : Ask
             The same function object in every step, as answers are cached by it.
         """
-        found = [(rows, self.beliefs.expected(ask, self.policies[group], rows)) for group, rows in self.groups()]
+        found = [(flat, self.beliefs.expected(ask, self.policies[number], flat)) for number, flat in self.by_policy()]
         values = np.full((self.x.size, max((each.shape[1] for _, each in found), default=1)), -np.inf)
-        for rows, each in found:
-            values[rows, : each.shape[1]] = each
+        for flat, each in found:
+            values[flat, : each.shape[1]] = each
         return values.reshape(*self.x.shape, -1)
 
     def q_values(self) -> Floats:
@@ -181,9 +181,9 @@ class TeamState:
         Of several goals, it is optimal for the most probable one.
         """
         action = np.zeros(self.x.size, dtype=np.int64)
-        for group, rows in self.groups():
-            x, share = self.x.ravel()[rows], self._share_of_goals(group, rows)
-            action[rows] = self.policies[group].pomdp.first_optimal[x, share.argmax(axis=-1)]
+        for number, flat in self.by_policy():
+            x, share = self.x.ravel()[flat], self._share_of_goals(number, flat)
+            action[flat] = self.policies[number].pomdp.first_optimal[x, share.argmax(axis=-1)]
         return action.reshape(self.x.shape)
 
     def cost_to_go(self) -> Floats:
@@ -192,9 +192,9 @@ class TeamState:
         Of several goals, it is the mean under the belief.
         """
         mean = np.zeros(self.x.size)
-        for group, rows in self.groups():
-            h = self.policies[group].pomdp.model.choices.goals.h[:, self.x.ravel()[rows]].T
-            mean[rows] = mean_over_goals(h, self._share_of_goals(group, rows))
+        for number, flat in self.by_policy():
+            h = self.policies[number].pomdp.model.choices.goals.h[:, self.x.ravel()[flat]].T
+            mean[flat] = mean_over_goals(h, self._share_of_goals(number, flat))
         return mean.reshape(self.x.shape)
 
     def mean_beta(self) -> Floats:
@@ -208,14 +208,14 @@ class TeamState:
     def _means(self, values: Callable[[Policy], Floats]) -> Floats:
         """Return a mean for each person, shape (N, K), of values that broadcast with the belief, shape (H, T)."""
         mean = np.zeros(self.x.size)
-        for group, rows in self.groups():
-            mean[rows] = (self.known_of(rows)[1] * values(self.policies[group])).sum(axis=(1, 2))
+        for number, flat in self.by_policy():
+            mean[flat] = (self.known_of(flat)[1] * values(self.policies[number])).sum(axis=(1, 2))
         return mean.reshape(self.x.shape)
 
-    def _share_of_goals(self, group: int, rows: NDArray[np.int64]) -> Floats:
+    def _share_of_goals(self, number: int, flat: NDArray[np.int64]) -> Floats:
         """Return the probability of each goal of some people, as `HiddenType.share_of_goals`."""
-        hidden = self.policies[group].pomdp.hidden
-        return hidden.share_of_goals(lambda: self.known_of(rows)[1])
+        hidden = self.policies[number].pomdp.hidden
+        return hidden.share_of_goals(lambda: self.known_of(flat)[1])
 
     def to(self) -> Floats:
         """Return the cost of each robot's move to each person from its place, shape (N, M, K), in cost units."""
@@ -229,9 +229,9 @@ class TeamState:
         if not self.fleet.executes:
             return np.zeros((1, 1, actions), dtype=bool)
         executes = np.zeros((self.x.size, actions), dtype=bool)
-        for group, rows in self.groups():
-            suggested = self.policies[group].pomdp.suggested[self.x.ravel()[rows], :actions]
-            executes[rows, : suggested.shape[1]] = suggested == NOTHING
+        for number, flat in self.by_policy():
+            suggested = self.policies[number].pomdp.suggested[self.x.ravel()[flat], :actions]
+            executes[flat, : suggested.shape[1]] = suggested == NOTHING
         return executes.reshape(*self.x.shape, actions)
 
     def by_kind(self, q: Floats) -> Floats:

@@ -32,21 +32,22 @@ class TrustOfPeople:
     perceived: Floats
     optimal: NDArray[np.bool_]
 
-    def act(self, rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, arrays: ProblemArrays) -> None:
-        """Let the people of some rows, all of one model, act once; theta moves by the rule.
+    def act(self, flat: NDArray[np.int64], people: PeopleArrays, minds: Minds, arrays: ProblemArrays) -> None:
+        """Let some people, all of one model, act once; theta moves by the rule.
 
         Parameters
         ----------
-        rows : int array
+        flat : int array
+            Their indices in the arrays.
         people : PeopleArrays
         minds : Minds
             Their choices, with a rate of 0 for equation (7).
         arrays : ProblemArrays
             Their problem.
         """
-        before, theta, outcomes = people.x[rows], people.theta[rows], people.outcomes[rows]
-        act(rows, people, minds, arrays)
-        who, heard = people.who[rows], people.heard[rows]
+        before, theta, outcomes = people.x[flat], people.theta[flat], people.outcomes[flat]
+        act(flat, people, minds, arrays)
+        who, heard = people.who[flat], people.heard[flat]
         suggested, value = arrays.suggested[before, heard], minds.value
         advised = np.flatnonzero(suggested >= 0)
         who, x, slot = who[advised], before[advised], suggested[advised]
@@ -54,6 +55,6 @@ class TrustOfPeople:
             self.perceived[who, x, slot], self.perceived[who, x].min(axis=1), value[who, x],
             value[who, arrays.targets[x, slot]], self.optimal[x, slot, minds.goal[who]],
         )  # fmt: skip
-        event = perceived.event(people.slot[rows[advised]] == slot, self.rule.feedback)
-        rows = rows[advised]
-        people.theta[rows], people.outcomes[rows] = moved(self.rule, theta[advised], outcomes[advised], event)
+        event = perceived.event(people.slot[flat[advised]] == slot, self.rule.feedback)
+        flat = flat[advised]
+        people.theta[flat], people.outcomes[flat] = moved(self.rule, theta[advised], outcomes[advised], event)
