@@ -48,7 +48,7 @@ ROOMS = {
     "assist.team": """policy_names by_policy state action_check assignment schedule people_at_work seen baselines
         attention attention_never outlook questions robots_at_work trust_of_people model_group engine priority whittle
         rollout policies affordable drawn solving union matching pool common_random_numbers goal_knowledge trace
-        episodes beginning requested traced_run run simulate belief_trace illustration""",
+        episodes beginning requested traced_run run memory_trial simulate belief_trace illustration""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion path_search sampled_bound",
     "assist.certify": """options action_prices envelope priced_steps prices certificate visited_beliefs
         computation truncated_prices sample_paths team_bound relaxed_value comparison""",

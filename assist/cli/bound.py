@@ -68,8 +68,6 @@ def bound(
                 )  # fmt: skip
                 with kept_if_interrupted(lambda: True):
                     compared.simulate(show)
-                    for one in ready.values():
-                        made.require_no_memory(one, team.humans)
         except InterruptedBound as interrupted:
             end_after_showing(interrupted)
             _show_alone(interrupted.upper, interrupted.bounded, interrupted.people, as_json=as_json)

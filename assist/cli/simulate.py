@@ -111,7 +111,6 @@ def simulate(
         with kept_if_interrupted(lambda: results):
             for name, one in ready.items():
                 written = len(steps)
-                made.require_no_memory(one, humans)
                 try:
                     with stages() as show:
                         kept |= {"episodes": episodes, "name": name, "progress": show}

@@ -32,7 +32,6 @@ from ..team.policies import UserPolicy
 from ..team.pool import Pool
 from ..team.simulate import simulate
 from ..team.state import TeamPolicy
-from .own_code_trials import require_no_memory
 from .study import OWN, Cell, Study
 from .tasks import costs_of
 
@@ -113,8 +112,6 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
     lines: list[str] = []
     for name in condition.policies:
         chosen = policy_of(study, name, pool)
-        if not cell.repeat:
-            require_no_memory(chosen, pool, max(condition.humans))
         lap(f"preparing {name}")
         for humans in condition.humans:
             teams = study.teams(cell.repeat, humans)

@@ -24,10 +24,11 @@ from ..people.memory import remembered
 from ..people.ranges import Population
 from ..people.terms import Situation
 from ..people.trust_rules import Event, Feedback, TrustRule
-from ..people.user_code import UserChoiceModel, UserCodeError
+from ..people.user_code import UserChoiceModel
 from ..person.observation_model import ObservationModel
 from ..person.robots import Robot
 from ..person.settings import Setting
+from ..team.memory_trial import fault_of_memory
 from ..team.policies import UserPolicy
 from ..team.pool import Pool
 from ..team.simulate import simulate
@@ -105,7 +106,8 @@ def _situations(
 
 def of_policy(code: TeamPolicy, file: Path | None) -> Trials:
     """Yield the trials of a team policy."""
-    policy = code if file is None else UserPolicy(file, str(getattr(code, "__name__", "policy")), code)
+    # What it remembers has a trial of its own.
+    policy = code if file is None else UserPolicy(file, str(getattr(code, "__name__", "policy")), code, {1, 3})
 
     def run(pool: Callable[[], Pool], humans: int) -> None:
         simulate(pool(), policy, humans=humans, episodes=MANY, seed=0, progress=False)
@@ -114,55 +116,12 @@ def of_policy(code: TeamPolicy, file: Path | None) -> Trials:
         yield what, partial(run, pool, humans)
 
     def alone() -> str | None:
-        return fault_of_memory(policy, Pool.sample(_table(TINY), 4, seed=0, progress=False), 3)
+        pool = Pool.sample(_table(TINY), 4, seed=0, progress=False)
+        return fault_of_memory(
+            policy, lambda one, some: simulate(pool, one, humans=3, episodes=some, seed=0, progress=False), MORE
+        )
 
     yield "each team by itself", alone
-
-
-def fault_of_memory(
-    policy: TeamPolicy, pool: Pool, humans: int, *, episodes: int = MORE, **conditions: Any
-) -> str | None:
-    """Return what is wrong with a policy that remembers former calls, or draws random numbers; None if nothing is.
-
-    Parameters
-    ----------
-    policy : callable
-    pool : Pool
-    humans : int
-        Number of people in the teams that are simulated, together and in parts.
-    episodes : int
-    **conditions
-        Further arguments of `simulate`.
-    """
-    again = partial(simulate, pool, policy, humans=humans, seed=0, progress=False, **conditions)
-    together = again(episodes=episodes).discounted_return
-    parts = [again(episodes=range(first, first + MANY)).discounted_return for first in range(0, episodes, MANY)]
-    if not (together != np.concatenate(parts)).any():
-        return None
-    if (together != again(episodes=episodes).discounted_return).any():
-        return (
-            "leads to other episodes when the same are simulated again; expected the same choice in the same state, "
-            "without memory of former calls and without random numbers"
-        )
-    return (
-        "chooses otherwise for a team when other teams are simulated with it; expected each row by itself, without "
-        "memory of former calls, in which rows were other teams"
-    )
-
-
-def require_no_memory(policy: str | TeamPolicy, pool: Pool, humans: int, **conditions: Any) -> None:
-    """Refuse a user's policy that remembers former calls: its results would depend on which teams were together.
-
-    Policies of this project pass without a trial.
-
-    Raises
-    ------
-    UserCodeError
-    """
-    if not isinstance(policy, UserPolicy):
-        return
-    if (fault := fault_of_memory(policy, pool, humans, episodes=3 * MANY, **conditions)) is not None:
-        raise UserCodeError(f"{policy.place}: {policy.name} {fault}")
 
 
 def of_people(code: Callable[..., Floats], file: Path | None) -> Trials:

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from planner.system.errors import expected
@@ -132,11 +132,14 @@ class UserPolicy:
     name : str
         Name of the function in that file.
     function : callable
+    tried : set of int
+        Sizes of the teams in which a simulation has found that it remembers nothing (`memory_trial`).
     """
 
     file: Path
     name: str
     function: TeamPolicy
+    tried: set[int] = field(default_factory=set, compare=False, repr=False)
 
     @classmethod
     def load(cls, file: str | Path, name: str) -> UserPolicy:

@@ -28,6 +28,7 @@ from .attention import AttentionSwitching
 from .beginning import Beginnings
 from .common_random_numbers import BLOCK
 from .episodes import Episodes, with_cost
+from .memory_trial import require_no_memory
 from .policies import prepare
 from .pool import Pool, require_pool
 from .questions import Questions
@@ -82,7 +83,8 @@ def simulate(
     ValueError
         A parameter is out of its range.
     UserCodeError
-        The policy chooses an impossible action, such as going to a person who has finished.
+        The policy chooses an impossible action, such as going to a person who has finished. Or it is a function in a
+        file (`UserPolicy`) that remembers former calls.
     LimitError
         The episodes would exceed the memory limit.
     """
@@ -91,6 +93,7 @@ def simulate(
     wanted = Requested.of(pool, policy, humans, episodes, seed, conditions)
     jobs, reasons = whole("jobs", conditions.get("jobs", 1), 1), conditions.get("reasons")
     policy = pool.policy(policy, wanted.travel) if isinstance(policy, str) else policy
+    require_no_memory(policy, partial(_again, pool, wanted), wanted.places)
     explained = trace is not None and reasons is not None
     models = np.unique(pool.model[wanted.people(pool)]).tolist()
     beginnings = Beginnings(pool, wanted.world)
@@ -132,3 +135,11 @@ def simulate(
             # clock, so would what a user's policy draws from a generator of its own.
             done, size = ended, size if explained else (4 if conditions.get("time_limit") is None else 2) * size
     return with_cost(Episodes.joined(found), pool.setting.fleet, policy)
+
+
+def _again(pool: Pool, wanted: Requested, policy: TeamPolicy, episodes: Sequence[int]) -> Episodes:
+    """Simulate other episodes under the same conditions."""
+    return simulate(
+        pool, policy, humans=wanted.places if wanted.teams is None else wanted.teams[0], episodes=episodes, seed=0,
+        travel=wanted.travel, presence=wanted.presence, world=wanted.world, goals=wanted.goals, progress=False,
+    )  # fmt: skip

@@ -65,12 +65,6 @@ class TeamSetup(NamedTuple):
     pool: Pool
     travel: Travel
 
-    def require_no_memory(self, policy: TeamPolicy, humans: int) -> None:
-        """Refuse a user's own policy that remembers former calls, in teams of so many people."""
-        from ...studies.own_code_trials import require_no_memory
-
-        require_no_memory(policy, self.pool, humans, travel=self.travel)
-
     def prepared(self, policy: str | TeamPolicy) -> TeamPolicy:
         """Return the team policy of this name; a policy object is returned unchanged."""
         if not isinstance(policy, str):

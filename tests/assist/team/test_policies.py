@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from teams import equal, reachable, run, state
 
 from assist.people.choices import Choices
+from assist.people.user_code import UserCodeError
 from assist.person.mdp_values import evaluate
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
@@ -18,6 +20,7 @@ from assist.team.attention import AttentionSwitching
 from assist.team.attention_never import AttentionAgainstNever
 from assist.team.baselines import NoAssistance, Reactive
 from assist.team.by_policy import ByPolicy
+from assist.team.policies import UserPolicy
 from assist.team.pool import Pool
 from assist.team.priority import Priority
 from assist.team.schedule import Schedule
@@ -231,3 +234,27 @@ def test_prices_of_steps_are_for_people_who_begin_together(pool: Pool) -> None:
     late = Schedule.of(3, joins=[0, 0, 1])
     with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
         simulate(pool, policy, humans=3, episodes=4, seed=0, presence=late)
+
+
+def test_a_function_in_a_file_is_tried_once_for_memory(pool: Pool, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "CALLS = []\n"
+        "def third(team):\n"
+        "    CALLS.append(team.step)\n"
+        "    return team.act(team.active.argmax(axis=1), team.first_optimal() * (len(CALLS) % 3 > 0))\n"
+        "def first(team):\n"
+        "    CALLS.append(team.step)\n"
+        "    return team.act(team.active.argmax(axis=1), team.first_optimal())\n"
+    )
+    third, first = (UserPolicy.load(tmp_path / "own.py", name) for name in ("third", "first"))
+    with pytest.raises(UserCodeError, match=r"own\.py:2: third .* without memory of former calls"):
+        simulate(pool, third, humans=2, episodes=2, seed=0)
+    simulate(pool, third.function, humans=2, episodes=2, seed=0)  # a callable is taken as it is
+    calls: list[int] = first.function.__globals__["CALLS"]  # type: ignore[attr-defined]
+    calls.clear()
+    runs = [simulate(pool, first, humans=2, episodes=2, seed=0) for _ in range(2)]
+    assert equal(*runs)
+    assert len(calls) > 4 * sum(runs[0].steps)  # the trial, and both simulations
+    calls.clear()
+    simulate(pool, first, humans=2, episodes=2, seed=0)
+    assert len(calls) <= sum(runs[0].steps)

@@ -1,0 +1,62 @@
+"""The trial of a user's policy that tells whether it chooses by the state that it receives alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..people.user_code import UserCodeError
+from .episodes import Episodes
+from .policies import UserPolicy
+from .state import TeamPolicy
+
+PART = 8
+"""Episodes that are simulated together in a part of a trial."""
+
+Again = Callable[[TeamPolicy, Sequence[int]], Episodes]
+"""Simulates some episodes, given by their numbers, with a policy."""
+
+
+def fault_of_memory(policy: TeamPolicy, again: Again, episodes: int) -> str | None:
+    """Return what is wrong with a policy that remembers former calls, or draws random numbers; None if nothing is.
+
+    Parameters
+    ----------
+    policy : callable
+    again : callable
+    episodes : int
+        Number of episodes that are simulated, together and in parts.
+    """
+    every = range(episodes)
+    together = again(policy, every).discounted_return
+    parts = [again(policy, every[first : first + PART]).discounted_return for first in range(0, episodes, PART)]
+    if not (together != np.concatenate(parts)).any():
+        return None
+    if (together != again(policy, every).discounted_return).any():
+        return (
+            "leads to other episodes when the same are simulated again; expected the same choice in the same state, "
+            "without memory of former calls and without random numbers"
+        )
+    return (
+        "chooses otherwise for a team when other teams are simulated with it; expected each row by itself, without "
+        "memory of former calls, in which rows were other teams"
+    )
+
+
+def require_no_memory(policy: TeamPolicy, again: Again, places: int) -> None:
+    """Refuse a function in a user's file that remembers former calls: its results depend on which teams are together.
+
+    It is tried once in teams of a size. Other callables are taken as they are.
+
+    Raises
+    ------
+    UserCodeError
+    """
+    if not isinstance(policy, UserPolicy) or places in policy.tried:
+        return
+    fault = fault_of_memory(replace(policy, tried={places}), again, 3 * PART)
+    if fault is not None:
+        raise UserCodeError(f"{policy.place}: {policy.name} {fault}")
+    policy.tried.add(places)
