@@ -221,9 +221,10 @@ def test_rollout_is_better_than_the_policy_it_begins_from() -> None:
         options = RolloutOptions(samples=2000, horizon=25, alternatives=6)
         act = policy(agents, "rollout", 1, prices=solved, rollout=options)
         # After the last step with a price, the base policy is the one without prices.
-        better.append(exact_value(agents, act, 1) - exact_value(agents, act.base, 1))
+        value = exact_value(agents, act, 1)
+        better.append(value - exact_value(agents, act.base, 1))
         assert better[-1] > -1e-3, seed
-        assert exact_value(agents, act, 1) <= joint_optimum(agents, 1) + 1e-9
+        assert value <= joint_optimum(agents, 1) + 1e-9
         states = np.array(list(itertools.product(range(2), repeat=3)))
         np.testing.assert_array_equal(act(3, states), act(3, states[::-1])[::-1])
     assert max(better) > 1e-2
