@@ -26,7 +26,7 @@ from ..person.qmdp import QMDP, look_ahead
 from ..person.solver import Solution
 from ..person.time_expansion import HERE, TimeExpansion
 from ..person.travel import Travel
-from ..person.truncated_bound import OuterRelaxation, likely
+from ..person.truncated_bound import likely
 from ..team.pool import Pool
 from ..team.simulate import simulate
 from ..team.state import TeamAction, TeamState
@@ -51,12 +51,8 @@ class SubproblemKind:
         Upper bound on the value with free attention, by robot position and task state.
     places : tuple of int
         Their places in the team.
-    outer : OuterRelaxation or None
-        The relaxation around the truncated task; None for a whole task.
-    between : OuterRelaxation or None
-        The same on a smaller truncated task, on which prices are optimised.
-    pairs : int
-        Number of pairs of state and step that are enumerated if there are prices and an outer relaxation.
+    problem : TruncatedProblem
+        The problem of one of them with a robot that is always present, and the relaxations around a truncated task.
     share : float
         Probability that a person at these places has this subproblem: that of a goal, or 1.
     envelope : OwnTheta
@@ -67,9 +63,7 @@ class SubproblemKind:
     visits: AttentionSubproblem
     tail: Floats
     places: tuple[int, ...]
-    outer: OuterRelaxation | None = None
-    between: OuterRelaxation | None = None
-    pairs: int = 0
+    problem: TruncatedProblem
     share: float = 1.0
     envelope: OwnTheta = field(default_factory=OwnTheta)
 
@@ -97,18 +91,19 @@ class SubproblemKind:
         alone, entry, steps = self.visits.alone, self.visits.entry, self.visits.entry_steps
         if price.ndim > 1:
             return AttentionSubproblem.of(alone, entry, steps, price[0]).priced(price)
-        if self.outer is None or not len(price):
+        if self.problem.outer is None or not len(price):
             return AttentionSubproblem.of(alone, entry, steps, price)
-        visits = AttentionSubproblem.of(alone, entry, steps, price, kept=likely(alone, len(price), self.pairs))
-        return self.outer.beyond(visits, self.tail)
+        visits = AttentionSubproblem.of(alone, entry, steps, price, kept=likely(alone, len(price), self.problem.pairs))
+        return self.problem.outer.beyond(visits, self.tail)
 
     def _with_policy(self, price: Floats) -> tuple[AttentionSubproblem, Callable[[int, Ints], QMDP]]:
         """Return a subproblem at these prices, and a function for QMDP's policy in given states at each step."""
-        if self.between is None:
+        between = self.problem.between
+        if between is None:
             visits = self.visits.priced(price)
             best = self.best(visits)
             return visits, lambda *_: best
-        visits, values = self.between.visits, dict(self.between.priced(price))
+        visits, values = between.visits, dict(between.priced(price))
 
         def policy(step: int, states: Ints) -> QMDP:
             own = float(price[step]) if step < len(price) else 0.0
@@ -170,35 +165,26 @@ def kinds_of(
     members: dict[tuple[int, float, int], list[int]] = {}
     for k, person in enumerate(team):
         members.setdefault((int(pool.model[person]), entries[k], steps[k]), []).append(k)
-    # Of each kind: the probability of its goal, its problem, and its key of `members`.
-    parts: list[tuple[float, TruncatedProblem, tuple[int, float, int]]] = []
-    envelopes = dict[tuple[int, float, int], OwnTheta]()
-    for done, key in enumerate(members):
-        model, entry, _ = key
+    given = list[tuple[TruncatedProblem, float, tuple[int, ...], float, int, OwnTheta]]()
+    for done, ((model, entry, entry_steps), of_kind) in enumerate(members.items()):
         tell("setting up people's problems", done, len(members))
-        room = memory_limit_mb / len(members)
+        room, places = memory_limit_mb / len(members), tuple(of_kind)
         # The outer relaxations of all kinds are kept in memory, if they are included. An upper bound on a truncated
         # problem is one on that of the whole task (`person.truncated_bound`).
-        envelopes[key] = Envelope.of(pool, team, tuple(members[key]))
-        given = pool.policies[model].problem.bounded(
-            entry, with_outer=with_outer, theta_moves=envelopes[key].moves,
+        envelope = Envelope.of(pool, team, places)
+        each_goal = pool.policies[model].problem.bounded(
+            entry, with_outer=with_outer, theta_moves=envelope.moves,
             limits=BoundLimits(until, room if with_outer else memory_limit_mb, room).shared(len(members) - done),
         )  # fmt: skip
-        parts += [(chance, problem, key) for chance, problem in given]
-    _require_room_for_all([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)
+        given += [(one, chance, places, entry, entry_steps, envelope) for chance, one in each_goal]
+    _require_room_for_all([one[0] for one in given], [one[4] for one in given], window, memory_limit_mb)
     kinds = []
-    for chance, one, key in parts:
-        _, entry, entry_steps = key
+    for one, chance, places, entry, entry_steps, envelope in given:
         free = AttentionSubproblem.of(one.problem, entry, entry_steps)
-        places = tuple(members[key])
-        tail = envelopes[key].tail(free)
-        visits = (
-            free if one.outer is not None else AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window))
-        )
+        tail, priced = envelope.tail(free), one.outer is None
+        visits = AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window)) if priced else free
         _require_room_for(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        kinds.append(
-            SubproblemKind(pool, visits, tail, places, one.outer, one.between, one.pairs, chance, envelopes[key])
-        )
+        kinds.append(SubproblemKind(pool, visits, tail, places, one, chance, envelope))
     return kinds
 
 

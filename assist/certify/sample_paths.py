@@ -65,7 +65,9 @@ def sampled(run: Computation, relaxed: Relaxation, together: int) -> SampledBoun
 def _belief_nodes(relaxed: Relaxation) -> list[BeliefNodes]:
     """Return the belief nodes of each person; people of one kind share them."""
     # The outer relaxation neglects travel time, so that it does not apply if travel takes time.
-    outers = [kind.outer if not len(relaxed.price) and not kind.visits.entry_steps else None for kind in relaxed.kinds]
+    outers = [
+        kind.problem.outer if not len(relaxed.price) and not kind.visits.entry_steps else None for kind in relaxed.kinds
+    ]
     parts = [(visits, solution) for visits, solution in relaxed.parts if isinstance(solution, Solution)]
     belief_nodes = [BeliefNodes(*part, outer) for part, outer in zip(parts, outers, strict=True)]
     return [one for kind, one in zip(relaxed.kinds, belief_nodes, strict=True) for _ in range(len(kind.places))]

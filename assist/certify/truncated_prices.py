@@ -51,7 +51,7 @@ def _with_outer(run: Computation, steps: int, wanted: bool) -> tuple[list[Subpro
         except LimitError:
             steps //= 2
             continue
-        if wanted or all(kind.between is not None or kind.visits.pomdp.frontier is None for kind in kinds):
+        if wanted or all(kind.problem.between is not None or kind.visits.pomdp.frontier is None for kind in kinds):
             return kinds, steps
         break
     return run.kinds(0, run.paths > 0), 0

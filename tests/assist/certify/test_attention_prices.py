@@ -53,7 +53,7 @@ def test_attention_to_people_who_do_what_they_are_told() -> None:
     cost, gamma = np.ones(5), 0.9 ** np.arange(8)
     for time, attended in ((0.0, [0, 0, 0, 1, 1, 0, 0]), (2.0, [0, 1, 1, 1, 1, 0, 0])):
         kind = only_kind(pool, 7, time)
-        assert (kind.places, kind.count, kind.outer, kind.between) == ((0, 1), 2, None, None)
+        assert (kind.places, kind.count, kind.problem.outer, kind.problem.between) == ((0, 1), 2, None, None)
         assert kind.visits.price.tolist() == [0] * 7
         number, found = kind.simulated(np.zeros(7), 8, 5, 0)
         assert number.tolist() == attended
@@ -102,7 +102,7 @@ def truncated() -> SubproblemKind:
 def test_prices_on_a_truncated_task(truncated: SubproblemKind) -> None:
     kind, price = truncated, np.array([1.0, 0.5, 0.2])
     assert (kind.count, len(kind.visits.price)) == (2, 0)
-    assert kind.outer is not None
+    assert kind.problem.outer is not None
     kind = replace(kind, pairs=3)
     visits = kind.at(price)
     kept = likely(kind.visits.alone, 3, 3)
@@ -115,7 +115,7 @@ def test_prices_on_a_truncated_task(truncated: SubproblemKind) -> None:
     assert kind.visits.pomdp.frontier is not None
     np.testing.assert_array_equal(free.upper, kind.visits.pomdp.frontier.upper)
     assert visits.pomdp.frontier is not None
-    expected = kind.outer.beyond(plain, kind.tail).pomdp.frontier
+    expected = kind.problem.outer.beyond(plain, kind.tail).pomdp.frontier
     assert expected is not None
     np.testing.assert_array_equal(visits.pomdp.frontier.upper, expected.upper)
 
@@ -123,12 +123,12 @@ def test_prices_on_a_truncated_task(truncated: SubproblemKind) -> None:
 def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemKind) -> None:
     """It does so at the price of its step, to values with the prices of all later steps."""
     kind, price = truncated, np.array([1.0, 0.5, 0.2])
-    assert kind.between is not None
+    assert kind.problem.between is not None
     visits, policy = kind._with_policy(price)
-    assert visits is kind.between.visits
-    after, pomdp = [kind.between.value], visits.pomdp
+    assert visits is kind.problem.between.visits
+    after, pomdp = [kind.problem.between.value], visits.pomdp
     for step in (2, 1, 0):
-        after.insert(0, np.minimum(values(visits.at_price(price[step]), after[0]), kind.between.value))
+        after.insert(0, np.minimum(values(visits.at_price(price[step]), after[0]), kind.problem.between.value))
     x = np.flatnonzero(~pomdp.ends)
     belief = np.broadcast_to(pomdp.prior, (len(x), *pomdp.prior.shape))
     for step in range(6):
@@ -184,7 +184,11 @@ def test_time_and_memory_are_shared_among_kinds(monkeypatch: pytest.MonkeyPatch)
         )  # fmt: skip
         limits = [BoundLimits(until, limit, 100.0) for until in (104.0, 106.0, 112.0)]
         assert asked == [(0.02, {"with_outer": with_outer, "theta_moves": False, "limits": one}) for one in limits]
-        assert [(kind.places, kind.pairs, kind.share) for kind in kinds] == [((0,), 0, 1), ((1,), 7, 1), ((2,), 7, 1)]
+        assert [(kind.places, kind.problem.pairs, kind.share) for kind in kinds] == [
+            ((0,), 0, 1),
+            ((1,), 7, 1),
+            ((2,), 7, 1),
+        ]
         assert told == [("setting up people's problems", done, 3) for done in range(3)]
         asked.clear()
         told.clear()

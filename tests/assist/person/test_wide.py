@@ -375,7 +375,7 @@ def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> Non
     values = []
     for pool in pools:
         kinds = kinds_of(pool, team, setting.travel(3), len(price), with_outer=True)
-        assert all((kind.between is not None) == (pool is pools[0]) for kind in kinds)
+        assert all((kind.problem.between is not None) == (pool is pools[0]) for kind in kinds)
         parts = [(visits := kind.at(price), kind.best(visits)) for kind in kinds]
         solved = [solve(visits.pomdp, gap=1e-4, best=best) for visits, best in parts]
         assert all(one.lower <= one.upper for one in solved)
@@ -400,7 +400,7 @@ def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPa
     kinds = kinds_of(pool, team, setting.travel(2), 0, with_outer=True)
     parts = [(visits := kind.at(np.zeros(0)), solve(visits.pomdp, gap=1e-3)) for kind in kinds]
     means, steps = [], []
-    for outers in ([None, None], [kind.outer for kind in kinds]):
+    for outers in ([None, None], [kind.problem.outer for kind in kinds]):
         lattices = [BeliefNodes(*part, outer) for part, outer in zip(parts, outers, strict=True)]
         for lattice, (_, solution) in zip(lattices, parts, strict=True):
             assert lattice.value == pytest.approx(solution.upper, abs=1e-9)
@@ -419,9 +419,9 @@ def test_what_is_around_takes_memory_and_is_kept_if_wanted(tiny: Table, monkeypa
     monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, hidden=3))
     pool = Pool.sample(tiny, 2, seed=0, states=5)
     travel = pool.setting.travel(2)
-    assert all(kind.outer is None for kind in kinds_of(pool, (0, 1), travel, 0))
+    assert all(kind.problem.outer is None for kind in kinds_of(pool, (0, 1), travel, 0))
     kinds = kinds_of(pool, (0, 1), travel, 0, with_outer=True)
-    assert all(kind.outer is not None and kind.outer.nbytes > 10_000 for kind in kinds)
+    assert all(kind.problem.outer is not None and kind.problem.outer.nbytes > 10_000 for kind in kinds)
 
 
 def silent(pomdp: AssistPOMDP) -> QMDP:
