@@ -103,7 +103,7 @@ def test_prices_on_a_truncated_task(truncated: SubproblemKind) -> None:
     kind, price = truncated, np.array([1.0, 0.5, 0.2])
     assert (kind.count, len(kind.visits.price)) == (2, 0)
     assert kind.problem.outer is not None
-    kind = replace(kind, pairs=3)
+    kind = replace(kind, problem=replace(kind.problem, pairs=3))
     visits = kind.at(price)
     kept = likely(kind.visits.alone, 3, 3)
     plain = AttentionSubproblem.of(kind.visits.alone, kind.visits.entry, kind.visits.entry_steps, price, kept=kept)
