@@ -1,7 +1,7 @@
 """Prices of actions in a bound for robots that differ, in addition to the price of their attention.
 
-In people's problems every robot has the best ability and the lowest costs of any (`person.fleet`). Prices of
-suggestions and of executions account for it that not every robot of the team has them. Let e_m(a) be what an action of
+In people's problems every robot has the best ability and the lowest costs of any (`person.fleet`). Other robots of the
+team pay more. Prices of suggestions and of executions bring that back into the bound. Let e_m(a) be what an action of
 class a costs robot m more than the best robot: infinite if it cannot execute.
 
 Assumptions. Those of `team_bound`.

@@ -173,7 +173,10 @@ class Computation:
 
     @cached_property
     def extra(self) -> Floats | None:
-        """What actions of robots that differ cost more if these have prices: on whole tasks without sample paths."""
+        """What each action of a robot costs more than the best robot's, shape (M, 3); None if actions have no prices.
+
+        They have prices on whole tasks, without sample paths, where the costs of robots differ.
+        """
         return None if self.paths or self.needs_outer else needed(self.pool.setting)
 
     def needs_prices(self, steps: int) -> bool:

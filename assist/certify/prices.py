@@ -134,7 +134,8 @@ class SubproblemKind:
         human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
         # Travel is part of the subproblem, so that the simulation has none. A person's problem has one robot.
         robot = replace(self.pool.setting.fleet.best, c_move=0.0, travel_time=0.0)
-        setting = replace(self.pool.setting, max_steps=steps, robots=(robot,))
+        # Nor is anything asked in it: its goal is known (`person.each_goal`).
+        setting = replace(self.pool.setting, max_steps=steps, robots=(robot,), c_ask=None, ask_error=0.0)
         pool = Pool(setting, (human,), (policy(0, np.arange(1)),), np.zeros(1, dtype=np.int64))
         run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
         return number.reshape(price.shape) / episodes, run.discounted_return
@@ -216,7 +217,8 @@ def search(
     robots : int
         Number of robots of the team.
     extra : float array, shape (M, 3), optional
-        What actions of robots that differ cost more. If given, actions have prices, too (`certify.action_prices`).
+        What each action of a robot costs more than the best robot's. If given, actions have prices, too
+        (`certify.action_prices`).
 
     Returns
     -------

@@ -18,9 +18,10 @@ Proof. Consider any policy of the team. Let a_k(t) be 1 in a step in which any r
 otherwise. As sum_k a_k(t) <= M, the return increases or stays the same if sum_t gamma^t lambda_t (M - sum_k a_k(t)) is
 added to it. The result is M sum_t gamma^t lambda_t plus, for each person, a return in which attention has its price.
 The robots' behaviour towards person k is a policy of their subproblem, at costs that are not higher there: the robot in
-it comes when the first of them sets out, and leaves with the last. This policy also depends on the other people's
-states, which are independent of person k and act like additional random numbers. So the mean of the return is at most
-V_k.
+it comes when the first of them sets out, and leaves with the last. Where coming takes no time, it comes with its first
+action: to be there before would cost as much or more, as costs and prices are 0 or more, and would change nothing. This
+policy also depends on the other people's states, which are independent of person k and act like additional random
+numbers. So the mean of the return is at most V_k.
 
 The prices are optimised (`assist.certify.prices`). Each V_k is bounded from above with hidden beta and theta
 (`assist.person.solver`), so that the bound does not assume more knowledge of people than a robot has.

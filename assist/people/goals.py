@@ -82,7 +82,7 @@ def require_one_goal(task: Any, terms: Collection[str]) -> None:
     Raises
     ------
     ValueError
-        They have.
+        There are several goals, and there are terms.
     """
     if terms and several(each_of(task)):
         raise ValueError("people with weights of terms: expected one goal")

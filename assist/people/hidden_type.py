@@ -12,7 +12,7 @@ one to the other. A goal that is known is a prior with one goal, so that no code
 What is about goals in particular stands here, or in `type_kernels` for compiled code:
 
 - The robot sees that a person goes on. So no goal that is reached in their state is theirs
-  (`person.belief_update.without_reached`; in compiled code `type_kernels.leave_out_reached`).
+  (`person.belief_update.without_reached`; in compiled code `leave_out_reached` and `exclude_reached`).
 - A mistake is an action that is optimal for no goal that is still possible (`type_kernels.is_mistake`).
 - QMDP counts the goal as known from the next step on, so that waiting seems too good. The robot therefore acts on
   sharper probabilities of goals, or on the most probable goal alone (`HiddenType.acted_on`).

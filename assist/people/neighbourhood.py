@@ -1,8 +1,12 @@
 """What people of a team see of each other's suggestions, as a map on theta of arrays.
 
-The same map moves people's own theta and, at the grid's values, what a robot believes of it. Proof that beliefs about
-people stay independent of each other, and the filter exact, with b_k the belief about person k, u what the robot said
-and a the actions of a step, all of which the robot sees:
+The same map moves people's own theta and, at the grid's values, what a robot believes of it.
+
+Assumption. The robot sees all states, what was suggested (u), and the actions of each step (a).
+
+Claim. Beliefs about people stay independent of each other, so that a filter for each of them is exact.
+
+Proof. Let b_k be the belief about person k.
 
 1. Before the step the belief is a product, b = prod_k b_k, over types h_k and theta_k.
 2. P(a | h, theta, u) = prod_k P(a_k | h_k, theta_k, u_k), as each chooses by their own type and theta alone.

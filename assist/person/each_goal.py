@@ -1,14 +1,16 @@
 """People whose goals are unknown: their problem for each goal, as if it were known.
 
-The bound on a team is the mean over their goals, as if these were known. If person k pursues goal g with probability
-p_k(g), the claim of `certify.team_bound` holds with sum_g p_k(g) V_kg(lambda) in place of V_k(lambda), where V_kg is
-the optimal value of their subproblem if the goal is known to be g.
+Assumptions. Those of `certify.team_bound`, but for the goals, which may depend on each other. Person k pursues goal g
+with probability p_k(g).
+
+Claim. The claim of `certify.team_bound` holds with sum_g p_k(g) V_kg(lambda) in place of V_k(lambda), where V_kg is the
+optimal value of their subproblem if the goal is known to be g.
 
 Proof. A robot that knows all goals from the beginning can ignore them, so that no policy is better than its optimum.
-For each vector of goals the claim bounds this optimum. Its mean over the goals is as stated, since prices do not depend
-on goals and the sum over people is linear; goals of different people may depend on each other. The robot actions of
-V_kg are those with the unknown goal: steps that are optimal for any goal may be suggested. V_kg ends when the goal is
-reached, where a robot that does not see this could only pay for more.
+Questions about goals tell it nothing and cost 0 or more, so that it asks none. For each vector of goals the claim
+bounds this optimum. Its mean over the goals is as stated, since prices do not depend on goals and the sum over people
+is linear. The robot actions of V_kg are those with the unknown goal: steps that are optimal for any goal may be
+suggested. V_kg ends when the goal is reached, where a robot that does not see this could only pay for more.
 """
 
 from __future__ import annotations

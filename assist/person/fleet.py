@@ -3,11 +3,12 @@
 A property of a robot is a field of `Robot`; `Fleet` has the fields of all M robots.
 
 People's problems have the *best* robot: it can do what any robot of the team can, at the lowest cost and in the
-shortest time of any. Policies and simulations add what an action of each robot costs more (`Fleet.extra`). A bound on
-the value of all policies for M of the best robots is one for the team, too.
+shortest time of any. Policies and simulations add what an action of each robot costs more (`Fleet.extra`).
 
-Proof. Any policy of the team is one of those robots, too: where a robot of the team is still on its way, the faster one
-has arrived and waits, which no other robot can disturb. Its actions are possible, and cost no more. A robot that makes
+Claim. A bound on the value of all policies for M of the best robots is one for the team, too.
+
+Proof. Any policy of the team is one of those robots, too. Where a robot of the team needs longer for a way, the faster
+one sets out later, so that both arrive in the same step. Its actions are possible, and cost no more. A robot that makes
 room for another one leaves for free, as in people's problems, and comes back at the cost of a move.
 """
 

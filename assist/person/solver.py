@@ -10,6 +10,12 @@ beliefs of H * T numbers. A person who reaches their goal stops, which the robot
 - Upper bound: each state has a hull. It starts at the values of the problem with observed type and theta (`qmdp.qmdp`).
   Backups lower it at single beliefs.
 
+Claim. If a bound holds in all states and beliefs, it still holds after a Bellman backup at some belief. Proof. The
+optimal value V is the fixed point of the Bellman operator, V = B V. B is monotone: its values are maxima, over robot
+actions, of minus the expected cost plus gamma times values of posteriors, whose weights are 0 or more. So U >= V gives
+B U >= B V = V, and the same with <=. The first bounds hold: a robot that observes type and theta can ignore them, and
+the first alpha vectors are values of policies. How bounds at single beliefs bound all others is in `upper_hull`.
+
 A trial starts at the initial state and the prior. It follows the robot action with the largest upper bound to a child,
 sampled by its contribution to the gap, as in bounded real-time dynamic programming (McMahan, Likhachev and Gordon,
 2005). It ends where the gap or the probability of the path is small, and backs up both bounds on the way back. Beliefs

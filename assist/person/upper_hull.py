@@ -1,15 +1,16 @@
 """The upper bound of a state at a belief: the lowest value that beliefs with known bounds imply.
 
 Let V be the value function of a state on unnormalised beliefs, `corner` an upper bound on V at the unit vectors, and
-b_i beliefs with known bounds V(b_i) <= v_i.
+b_i beliefs with known bounds V(b_i) <= v_i. V is the supremum of the values of policies, each of which is linear in the
+belief: so V is convex, and positively homogeneous.
 
 Claim: for all weights w >= 0 with  sum_i w_i b_i <= b,
 
     V(b) <= corner . b + sum_i w_i d_i,     where d_i = v_i - corner . b_i.
 
-Proof: V is convex and positively homogeneous, hence subadditive. With r = b - sum_i w_i b_i >= 0 follows V(b) <= sum_i
-w_i V(b_i) + V(r). The first term is at most sum_i w_i v_i. By the same argument V(r) <= corner . r. The sum of both
-bounds is the right-hand side.
+Proof: V is subadditive, since it is convex and positively homogeneous. With r = b - sum_i w_i b_i >= 0 follows
+V(b) <= sum_i w_i V(b_i) + V(r). The first term is at most sum_i w_i v_i. By the same argument V(r) <= corner . r. The
+sum of both bounds is the right-hand side.
 
 Only points with d_i < 0 improve the bound. The best weights solve a linear program. The sawtooth bound of Hauskrecht
 ("Value-function approximations for partially observable Markov decision processes", 2000) gives weight to one belief
@@ -22,7 +23,8 @@ coefficients lie between 0 and 1:
     minimise  c . u   where  A u + s = 1,  u >= 0,  s >= 0.
 
 The simplex method works on the condensed tableau, which holds the nonbasic columns only. The final weights are checked
-against both conditions of the claim. So every number of pivots, and any rounding in them, gives a valid bound.
+against both conditions of the claim, with `ABSENT` of the mass added to b. So every number of pivots, and any rounding
+in them, gives a valid bound.
 """
 
 from __future__ import annotations

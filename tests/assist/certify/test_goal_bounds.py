@@ -122,6 +122,15 @@ def test_policies_are_compared_with_the_bound(travel_time: int) -> None:
     assert mean - 4 * error <= found.upper
 
 
+def test_a_bound_is_the_same_for_robots_that_may_ask() -> None:
+    """It is that of robots that know the goals, to whom an answer tells nothing."""
+    asks, never = (bound_of(ring(), knowledge="exact", **more) for more in ({"c_ask": 0.05, "ask_error": 0.1}, {}))
+    assert len(asks.price)
+    assert asks.upper == never.upper
+    certificate = asks.certify("attention", episodes=200)
+    assert certificate.value - 4 * certificate.value_stderr <= asks.upper
+
+
 def test_the_command() -> None:
     given = ["bound", KITS / "travel.pddl", "--goals", KITS, "--humans", "1", "--policy", "none"]
     more = ["--value-episodes", "50", "--gap", ".5", "--set", "goal_prior=travel=.5,mend=.5,mount=0"]
