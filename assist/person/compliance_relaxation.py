@@ -18,10 +18,10 @@ Assumptions.
 2. A suggestion acts by equation 6 with some theta in [0, 1]; theta may change in any way.
 3. Costs of suggestions, of travel and of attention are at least 0. The robot executes no action of the task.
 
-Claim: let W(x, beta, theta) be the optimal value with observed beta and theta. If U >= W, then C U >= W. So all values
+Claim. Let W(x, beta, theta) be the optimal value with observed beta and theta. If U >= W, then C U >= W. So all values
 that result from sweeps of C over any states, starting from an upper bound, are upper bounds.
 
-Proof: Let the robot suggest a, and consider choices without a lapse. By equation 6, a has the weight theta p_a, and
+Proof. Let the robot suggest a, and consider choices without a lapse. By equation 6, a has the weight theta p_a, and
 every other b has the weight (1 - theta) p_b. So the other choices keep their proportions among each other. The expected
 return is therefore a mixture of u_a and o_a, hence at most max(u_a, o_a). If equation 6 leaves the probabilities
 unchanged, it is the mixture with the weights p_a and 1 - p_a. Lapses contribute l m. The robot pays at least c_suggest.

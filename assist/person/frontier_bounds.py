@@ -25,13 +25,13 @@ SURVEYED = 10_000_000  # states of a table up to which `Survey` scans all transi
 def never_erring(h: Floats, costs: ArrayLike, gamma: float) -> Floats:
     """Return an upper bound on the value of states for any person and any robot, shape (N,).
 
-    Assumptions: every choice, including a wait, costs between `cheap` and `dear`; the robot executes no action of the
+    Assumptions. Every choice, including a wait, costs between `cheap` and `dear`; the robot executes no action of the
     task. Let K = cheap / (1 - gamma) and F(h) = K (1 - gamma^(h / dear)).
 
-    Claim: from a state with cost-to-go h, every sequence of choices has a discounted cost of at least F(h). So -F(h) is
+    Claim. From a state with cost-to-go h, every sequence of choices has a discounted cost of at least F(h). So -F(h) is
     an upper bound on the value, for every person.
 
-    Proof: A choice of cost c leads to h' >= h - c, and F increases. As K - gamma K = cheap,
+    Proof. A choice of cost c leads to h' >= h - c, and F increases. As K - gamma K = cheap,
 
         c + gamma F(h') - F(h) >= c - cheap + K gamma^(h / dear) (1 - gamma^(1 - c / dear)) >= 0,
 
@@ -65,10 +65,10 @@ def never_erring_with_help(
     gamma U(h - c) - c and gamma U(h - c - dear) - c - c_execute for each cost c of an action, and of -c_execute if
     h <= dear. In arguments of U, c and dear are rounded up to the unit, and arguments below 0 count as 0.
 
-    Claim: U at h*, rounded down to the unit, is an upper bound on the value. The largest of Z and gamma U(h - c) - c is
+    Claim. U at h*, rounded down to the unit, is an upper bound on the value. The largest of Z and gamma U(h - c) - c is
     one where the person acts next.
 
-    Proof: U falls, as each option at h is one at a smaller h, too, with at least the same value. In a dead end each
+    Proof. U falls, as each option at h is one at a smaller h, too, with at least the same value. In a dead end each
     step costs at least cheap, so that Z bounds the value. Elsewhere nobody waits. A choice of cost c leads to a
     cost-to-go of at least h - c, or to a dead end, where -c + gamma Z <= Z. Before it, the robot may execute an action,
     which leads to at least h - dear; if that is a goal, then h <= dear and the person does nothing. So U is at least
@@ -182,13 +182,13 @@ def advised(survey: Survey, levels: CostLevels, floor: float, assumed: Assumptio
     If the robot `suggests` nothing, step 1 has p in place of the probability of following, and
     theta does not move.
 
-    Assumptions: the person chooses by equation 5 with the exact cost-to-go; theta lies on the grid and follows equation
+    Assumptions. The person chooses by equation 5 with the exact cost-to-go; theta lies on the grid and follows equation
     7. The robot suggests an optimal choice in every step.
 
-    Claim: for each beta, whichever optimal choices are suggested, the value of this policy is at least the returned
+    Claim. For each beta, whichever optimal choices are suggested, the value of this policy is at least the returned
     number. So the optimal value is.
 
-    Proof: Let L(h, theta) be a lower bound for all states with cost-to-go h, and A the largest number of choices in a
+    Proof. Let L(h, theta) be a lower bound for all states with cost-to-go h, and A the largest number of choices in a
     state.
 
     1. An optimal choice has the least perceived cost. So its probability without a suggestion is p >= 1 / A. The

@@ -180,7 +180,7 @@ def load_compiled(arrays: ProblemArrays) -> None:
 def rounding_error(value: Floats, arrays: ProblemArrays) -> Floats:
     """Return how far rounding may move the values of a fixed point, shape (n, H, T), for each type: shape (H, 1).
 
-    This is e / (1 - gamma) of the module's theorem.
+    This is e / (1 - gamma) of the module's claim.
     """
     largest = np.abs(value).max(axis=(0, 2), initial=0.0)[:, None]
     return np.asarray(rounding(arrays.targets.shape[1]) / (1 - arrays.gamma) * largest)

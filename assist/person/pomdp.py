@@ -56,7 +56,8 @@ class AssistPOMDP:
     afterstate : int array, shape (n, R)
         State in which the person then acts: the successor after an execution, otherwise the state itself.
     robot_costs : float array, shape (n, R)
-        Cost of each robot action, in cost units; in column 0, of a robot that is with the person and does nothing.
+        Cost of each robot action, in cost units; in column 0, of a robot that is with the person and does nothing
+        (`OfRobots.costs`: 0, unless a robot of one's own says otherwise).
     chosen : float array, shape (n, A, H)
         Probability of each choice without a suggestion and without lapses (equation 5); 0 where the goal is reached.
     unsuggested : float array, shape (n, R, H)

@@ -113,7 +113,8 @@ class RobotMoves:
     """The robot's moves, by its position and the number of the robot action: arrays of shape (P, R + 1).
 
     - Away: stay away (0). If coming takes time, come without a suggestion (1); otherwise come and make any of the
-      suggestions (1 and up).
+      suggestions (1 and up). Where it takes no time, to come and say nothing is left out, as it is never better than to
+      come with the first suggestion.
     - Here: leave (0), stay without a suggestion (1), or make any of the suggestions (2 and up).
     - On its way: continue (0).
 

@@ -14,10 +14,10 @@ The robot knows h* and not people's misconceptions (`knowledge="exact"`).
 
 Several goals. The person pursues one of G goals, and the robot knows its probability only.
 
-Claim: at a frontier state, under a belief in goal, beta and theta, the mean of the goals' upper bounds is an upper
+Claim. At a frontier state, under a belief in goal, beta and theta, the mean of the goals' upper bounds is an upper
 bound on the value of every policy. The mean of their lower bounds is a lower bound on the optimal value.
 
-Proof: A robot that knows the goal can ignore it, so that no policy is better than its mean value. `never_erring`
+Proof. A robot that knows the goal can ignore it, so that no policy is better than its mean value. `never_erring`
 bounds that value for each goal. The lower bound of each goal is one for a robot that never acts again. That is the same
 policy for all goals, so that its value is the mean of its values for each.
 """

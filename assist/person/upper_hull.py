@@ -4,11 +4,11 @@ Let V be the value function of a state on unnormalised beliefs, `corner` an uppe
 b_i beliefs with known bounds V(b_i) <= v_i. V is the supremum of the values of policies, each of which is linear in the
 belief: so V is convex, and positively homogeneous.
 
-Claim: for all weights w >= 0 with  sum_i w_i b_i <= b,
+Claim. For all weights w >= 0 with  sum_i w_i b_i <= b,
 
     V(b) <= corner . b + sum_i w_i d_i,     where d_i = v_i - corner . b_i.
 
-Proof: V is subadditive, since it is convex and positively homogeneous. With r = b - sum_i w_i b_i >= 0 follows
+Proof. V is subadditive, since it is convex and positively homogeneous. With r = b - sum_i w_i b_i >= 0 follows
 V(b) <= sum_i w_i V(b_i) + V(r). The first term is at most sum_i w_i v_i. By the same argument V(r) <= corner . r. The
 sum of both bounds is the right-hand side.
 

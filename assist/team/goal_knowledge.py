@@ -36,7 +36,11 @@ def first_beliefs(prior: Floats, hidden: HiddenType, goal: Ints, knowledge: Goal
 
 
 def acted_on(beliefs: Beliefs, hidden: HiddenType, knowledge: GoalKnowledge) -> Beliefs:
-    """Return the beliefs on which the robot acts; other arguments as in `first_beliefs`."""
+    """Return the beliefs that policies see; other arguments as in `first_beliefs`.
+
+    For `simulate(goals="likeliest")` it is done here, for every policy. What `Goals` says of the robot
+    (`HiddenType.acted_on`) is done later, where values are averaged over goals.
+    """
     if knowledge != "likeliest" or not len(beliefs.belief):
         return beliefs
     return Seen(beliefs.x, hidden.given_likeliest(beliefs.belief), beliefs.erred, beliefs.neighbours)

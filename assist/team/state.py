@@ -134,7 +134,10 @@ class TeamState:
 
     @property
     def interchangeable(self) -> bool:
-        """Whether each free robot is worth the same everywhere, but where it stays: all ways and robots are alike."""
+        """Whether each free robot is worth the same everywhere, but where it stays.
+
+        So it is if all distances are equal, and all robots are alike.
+        """
         return self.travel.equally_far and self.travel.alike and len(self.fleet.kinds.extra) == 1
 
     def refused(self, fault: str) -> UserCodeError:

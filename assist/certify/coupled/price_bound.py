@@ -1,10 +1,10 @@
 r"""An upper bound on the value of every policy, by a Lagrangian relaxation with one price per step.
 
-**Assumptions.** N agents are Markov decision processes with discount factor 0 <= gamma < 1 and bounded rewards. Given
+Assumptions. N agents are Markov decision processes with discount factor 0 <= gamma < 1 and bounded rewards. Given
 their states and actions, agents move independently. A policy chooses all actions from all that has been observed, and
 uses at most M units of the resource at each step: sum_k u_k(s_k, a_k) <= M.
 
-**Claim.** For all prices lambda_t >= 0, the expected discounted reward J of every such policy satisfies
+Claim. For all prices lambda_t >= 0, the expected discounted reward J of every such policy satisfies
 
     J <= M sum_t gamma^t lambda_t + sum_k V_k(lambda),
 
@@ -12,7 +12,7 @@ where V_k(lambda) is the optimal value of agent k alone with reward r_k - lambda
 convex in the prices. Its smallest value over all price vectors is that of the linear program in which the resource
 constraint holds in expectation at each step.
 
-**Proof.** As lambda_t >= 0 and the policy keeps to M, adding lambda_t (M - sum_k u_k) >= 0 to the reward of each step
+Proof. As lambda_t >= 0 and the policy keeps to M, adding lambda_t (M - sum_k u_k) >= 0 to the reward of each step
 does not lower the expected value. The new value is M sum_t gamma^t lambda_t plus the sum over agents of their
 expected discounted r_k - lambda_t u_k. In the joint process, agent k follows a policy that depends on the others'
 histories too. Those are independent of the moves of agent k given its state and action, so they serve only to

@@ -4,7 +4,7 @@ The bound of `price_bound` enforces the limit M in expectation. Here it holds in
 known in advance. A penalty with mean 0 for every policy without this knowledge makes up for it (Brown, Smith and Sun,
 "Information relaxations and duality in stochastic dynamic programs", 2010).
 
-**Assumptions.** Those of `price_bound`. Prices lambda >= 0 are 0 from step W on, and V_k,t are the values of single
+Assumptions. Those of `price_bound`. Prices lambda >= 0 are 0 from step W on, and V_k,t are the values of single
 agents at these prices. Let V_t(s) = M sum_{i >= t} gamma^(i - t) lambda_i + sum_k V_k,t(s_k), and
 
     D_t(s, a) = V_t(s) - sum_k r_k(s_k, a_k) - gamma E[V_{t+1}(s') | s, a]
@@ -12,13 +12,13 @@ agents at these prices. Let V_t(s) = M sum_{i >= t} gamma^(i - t) lambda_i + sum
 
 where d_k,t >= 0 is agent k's loss by the action, at the prices, against the best one.
 
-**Claim.** The expected discounted reward of every policy is at most
+Claim. The expected discounted reward of every policy is at most
 
     E[V_0(s_0)] - E[ min over a_0, ..., a_{W-1} with sum_k u_k(s_k, a_k) <= M of sum_{t < W} gamma^t D_t(s_t, a_t) ],
 
 where the minimum is over all actions on a sample path, which fixes each agent's next state by step, state and action.
 
-**Proof.** For a policy without knowledge of the future, the sum over t < W of gamma^(t+1) (V_{t+1}(s_{t+1}) -
+Proof. For a policy without knowledge of the future, the sum over t < W of gamma^(t+1) (V_{t+1}(s_{t+1}) -
 E[V_{t+1} | s_t, a_t]) has mean 0. Its expected reward is at most that of the first W steps plus gamma^W V_W(s_W), since
 V_W is an upper bound from step W on. After subtraction of that sum, by the definition of D, this is E[V_0(s_0)] -
 E[sum_{t < W} gamma^t D_t]. On every sample path the last sum is at least its minimum.

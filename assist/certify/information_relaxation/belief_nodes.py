@@ -1,8 +1,8 @@
 """One person's subproblem relaxed to finitely many beliefs, and the graph of one sample path.
 
-*Claim.* A solution's upper bound at a belief b is a mixture of its bounds at stored beliefs b_i, including the beliefs
+Claim. A solution's upper bound at a belief b is a mixture of its bounds at stored beliefs b_i, including the beliefs
 of single types (the corners): b = sum_i w_i b_i. If a b_i is drawn with probability w_i and revealed to the robot, its
-optimal value does not decrease. *Proof.* The type has the distribution b before and after the draw, and the robot may
+optimal value does not decrease. Proof. The type has the distribution b before and after the draw, and the robot may
 ignore what is revealed.
 
 The result is a problem with finitely many nodes, each a state with one of its stored beliefs (Lovejoy, "Computationally

@@ -22,8 +22,8 @@ For each node of a person, `Congestion` needs the distribution of G at each late
 in each person's distribution. So the mean of U over the outcomes of an action is U of the mean distributions. This
 makes it a penalty whose conditional mean can be computed for any number of people.
 
-Within an interval between two levels, U uses the mean of P(G_k <= g). *Claim.* The term of the present step is still
-at most the loss. *Proof.* For known G_k and g uniform in the interval, the events G_k > g are nested, and U treats them
+Within an interval between two levels, U uses the mean of P(G_k <= g). Claim. The term of the present step is still
+at most the loss. Proof. For known G_k and g uniform in the interval, the events G_k > g are nested, and U treats them
 as independent events of the same probabilities. The function min(M, .) is concave. Nested events have the sum that is
 largest in the convex order, hence the smallest mean of min(M, N). So U subtracts at least the integral.
 """

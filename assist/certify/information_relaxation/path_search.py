@@ -2,13 +2,13 @@
 
 It is found by A* on the product of all people's graphs. The terms are those of `sampled_bound`.
 
-*Assumptions.* U is that of `congestion`, whose weights `Scale.counts` are at most 1 and do not increase.
+Assumptions. U is that of `congestion`, whose weights `Scale.counts` are at most 1 and do not increase.
 
-*Claim.* The heuristic is admissible: in a state s of step t,
+Claim. The heuristic is admissible: in a state s of step t,
 
     D(s, a) >= (1 - alpha counts_t) D_V(s, a) - alpha sum_k fall_k(a).
 
-*Proof.* D = D_V - alpha (U(s) - E[U(s') | s, a]). The term of step t in U(s) is counts_t times a lower bound on the
+Proof. D = D_V - alpha (U(s) - E[U(s') | s, a]). The term of step t in U(s) is counts_t times a lower bound on the
 loss of every action in this step, hence at most counts_t D_V(s, a). (A person who has left counts there as one with G =
 lambda_t. They cause no regret, and a robot with them costs nothing, as in D.) The later terms of U(s) are the mean of
 U(s') after everyone's best action, with the weights before the step. After a, this mean is lower by at most sum_k

@@ -5,17 +5,17 @@ holds in every step, but the robots know all sample paths in advance. They pay a
 policy without this knowledge (Brown, Smith and Sun, "Information relaxations and duality in stochastic dynamic
 programs", 2010; for weakly coupled problems with Lagrangian penalties: Ye, Zhu and Zhou, arXiv 1405.3363, 2014).
 
-*Assumptions.* W(s) is any bounded function of the team's state, and V(s) is an upper bound on the value of every policy
+Assumptions. W(s) is any bounded function of the team's state, and V(s) is an upper bound on the value of every policy
 from s on, both discounted to step 0. T is the step by which all people have finished, or a fixed one if that is
 earlier. Let r be the reward, discounted in the same way, and
 
     D(s, a) = W(s) - r(s, a) - E[W(s') | s, a].
 
-*Claim.* The mean return of every policy without knowledge of the future is at most
+Claim. The mean return of every policy without knowledge of the future is at most
 
     W(s_0) - E[ min over a_0, a_1, ...  of  sum_{t < T} D(s_t, a_t) - (V - W)(s_T) ].
 
-*Proof.* Let Z be the sum over t < T of W(s_{t+1}) - E[W(s_{t+1}) | s_t, a_t]. Each term has the conditional mean 0
+Proof. Let Z be the sum over t < T of W(s_{t+1}) - E[W(s_{t+1}) | s_t, a_t]. Each term has the conditional mean 0
 given the past, and whether t < T is part of the past, so that E[Z] = 0 for such a policy. Its mean return is therefore
 at most the mean of r(s_0, a_0) + ... + r(s_{T-1}, a_{T-1}) + V(s_T) - Z. By the definition of D, this sum equals
 W(s_0) - sum_{t < T} D(s_t, a_t) + (V - W)(s_T). On every sample path it is at most its value for the best actions on
@@ -29,7 +29,7 @@ the prices, minus what is lost on each path. Every alpha gives a valid bound. It
 Where all people have finished, V(s_T) is 0, while W contains the prices of later steps: these are refunded.
 
 **People who leave a truncated task.** The upper bound u(t, y) of a leaf y is an upper bound on the person's return from
-step t on with a robot of their own, whose attention has the price lambda_t. The theorem needs rewards r of a process
+step t on with a robot of their own, whose attention has the price lambda_t. The claim needs rewards r of a process
 whose value no policy of the team exceeds. Let a_k be 1 in a step in which a robot attends to person k, and 0
 otherwise. Let c_k be the person's reward, let L people have left so far, and let
 
@@ -38,9 +38,9 @@ otherwise. Let c_k be the person's reward, let L people have left so far, and le
 
 A person who leaves adds u(t, y) once.
 
-*Claim.* The mean of the discounted sum of r is at least the mean return of every policy of the team.
+Claim. The mean of the discounted sum of r is at least the mean return of every policy of the team.
 
-*Proof.* The team's reward in a step is sum_k c_k = sum_k (c_k - lambda_t a_k) + lambda_t sum_k a_k. M robots attend to
+Proof. The team's reward in a step is sum_k c_k = sum_k (c_k - lambda_t a_k) + lambda_t sum_k a_k. M robots attend to
 at most M people, so that sum_k a_k <= M, and to at most L of those who have left. As prices are at least 0, the last
 term is at most g_t in every step. For a person who has left, the mean of the discounted sum of c_k - lambda_t a_k,
 given all observations until then, is at most u(t, y), because u bounds every way of attending to this person.
