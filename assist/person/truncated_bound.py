@@ -234,7 +234,7 @@ def bounded(
     if not (seen > hidden and len(inner.frontier) and left > 0):
         return TruncatedProblem(person.within(inner, problem, None))
     outer, around_it = person.outer(seen, hidden, None if left == math.inf else left)
-    visits, value = _values(around_it, person.complying(outer), entry, limits)
+    visits, value = _values(around_it, person.complying(outer, around_it.hidden.expertise), entry, limits)
     found = OuterRelaxation(visits, value, outer.local(inner.states))
     problem = person.within(inner, problem, found)
     if not with_outer or (found.place < 0).any():
@@ -321,8 +321,10 @@ class _Person:
         frontier = replace(problem.frontier, upper=upper, lower=upper.copy(), away=np.ascontiguousarray(here[:, 0]))
         return self.assumed.problem(region.choices, frontier)
 
-    def complying(self, region: TruncatedTask) -> Floats | None:
-        """Return upper bounds in the states of a truncated task, shape (n, B), by the compliance relaxation around it.
+    def complying(self, region: TruncatedTask, expertise: Floats) -> Floats | None:
+        """Return upper bounds in the states of a truncated task, shape (n, H), by the compliance relaxation around it.
+
+        `expertise` is that of each type, shape (H,).
 
         The result is None if the relaxation does not apply: the task is no table, the misconceptions concern actions,
         the robot executes actions, or there is another choice model than equation 5.
@@ -340,7 +342,7 @@ class _Person:
         most = int(min(SIZES.complying, limits.memory_mb * 1e6 / bytes_of_a_state, in_time))
         best_only = assumed.suggestions == "optimal" and self.among is self.known
         found = compliance_bounds(
-            known, breadth_first(known, region.states, most), assumed.grid.beta, assumed, optimal=best_only,
+            known, breadth_first(known, region.states, most), expertise, assumed, optimal=best_only,
             deadline=math.inf if left == math.inf else limits.until - (1 - share) * left,
         )  # fmt: skip
         return found.at(region.states)
@@ -385,7 +387,7 @@ def _values(
 ) -> tuple[AttentionSubproblem, Floats]:
     """Return upper bounds for a robot that comes and goes and observes beta and theta, shape (m, H, T).
 
-    `comply`, shape (n, B), holds the bounds of the compliance relaxation, if there are any.
+    `comply`, shape (n, H), holds the bounds of the compliance relaxation, if there are any.
     """
     what = f"bounding a person's value on {len(problem.robot_actions):,} states takes"
     require_room(what, _bytes(problem), limits.memory_mb, "a smaller region or a higher limit")

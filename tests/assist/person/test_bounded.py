@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from graphs import graph_task
 
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost, perceived_value
+from assist.people.hidden_type import HiddenType
 from assist.people.human import Human
 from assist.people.ranges import Population
 from assist.person import AssistPOMDP, qmdp, solve, truncated_bound
@@ -320,3 +323,35 @@ def test_a_robot_that_may_mistake_the_state_considers_all_suggestions(monkeypatc
     assert solve(one.problem).upper >= whole.lower - 1e-9
     only_optimal = Assumptions.of(replace(setting, observation=None), None, people).problem(Choices.of(table))
     assert solve(only_optimal).upper < whole.lower - 1
+
+
+class Clearheaded(HiddenType):
+    """Types with a part of one's own: half of the people choose with 30 times their expertise."""
+
+    factor = np.array([1.0, 30.0])
+
+    @cached_property
+    def parts(self) -> Mapping[str, int]:
+        return {**super().parts, "clear": 2}
+
+    @cached_property
+    def expertise(self) -> np.ndarray:
+        return super().expertise * self.factor[self.part("clear")]
+
+    def prior(self, person: np.ndarray) -> np.ndarray:
+        return super().prior(0.5 * person[:, None].repeat(2, axis=1).reshape(-1, person.shape[1]))
+
+
+@pytest.mark.parametrize("beta", [(0.1, 0.1), (0.1, 3.0)])
+def test_bounds_hold_for_types_of_ones_own(monkeypatch: pytest.MonkeyPatch, beta: tuple[float, float]) -> None:
+    """People comply, beyond the states that are seen, by the expertise of their type."""
+    monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, hidden=2, hidden_least=2, seen=4))
+    table, setting = kit("tiny"), Setting(c_suggest=0.3, gamma=0.9, knowledge="exact")
+    assumed = replace(Assumptions.of(setting, None, Population(beta=beta)), types=Clearheaded)
+    choices = Choices.of(table)
+    exact = qmdp(assumed.problem(choices), tolerance=1e-8).value_mdp[choices.initial]
+    for size in (1, 4):
+        problem = bounded(table, assumed, entry=0.0, size=size).problem
+        value = qmdp(problem, tolerance=1e-8).value_mdp[problem.model.choices.initial]
+        assert value.shape == exact.shape
+        assert (value >= exact - 1e-6).all()
