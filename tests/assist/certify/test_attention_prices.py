@@ -169,7 +169,7 @@ def test_time_and_memory_are_shared_among_kinds(monkeypatch: pytest.MonkeyPatch)
             asked.append((entry, options))
             return [(1.0, TruncatedProblem(pool.policies[number].pomdp, pairs=7 if number else 0))]
 
-        return SimpleNamespace(bounded=bounded, pomdp=pool.policies[number].pomdp)
+        return SimpleNamespace(problem=SimpleNamespace(bounded=bounded), pomdp=pool.policies[number].pomdp)
 
     fake: Any = SimpleNamespace(
         model=pool.model, policies=[policy(number) for number in range(3)], setting=pool.setting
