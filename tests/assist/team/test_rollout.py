@@ -63,13 +63,13 @@ def test_the_advantages_on_sample_paths_are_those_of_simulated_returns(tiny: Tab
     pool = of(two_goals(tiny)) if "goals" in setting else of(tiny, **setting)
     policy, team = Rollout.of(pool.policies, pool.setting.travel(3), RolloutOptions(horizon=200)), start(pool)
     assert team.belief is not None
-    paths = _Paths(policy, team, np.array([0]), [policy.base(team)], np.ones((1, 1), dtype=bool), 300, 0)
+    paths = _Paths(policy, team, np.array([0]), [policy.base(team)], np.ones((1, 1), dtype=bool), 800, 0)
     sums = paths.values()[0]
     for k, one in enumerate(pool.policies):
         solved = one.with_robot(policy.base)
         values = solved.policy.value_mdp[solved.states[0][0, team.x[0, k]]]
         sums += (values * team.belief[0, k]).sum()
-    found = simulate(pool, "priority", humans=TEAM, episodes=1000, seed=1, world="model").discounted_return
+    found = simulate(pool, "priority", humans=TEAM, episodes=2500, seed=1, world="model").discounted_return
     error = np.hypot(sums.std() / np.sqrt(len(sums)), found.std() / np.sqrt(len(found)))
     assert abs(sums.mean() - found.mean()) < 4 * error
     # What people see of each other is no part of their own problems, so that V explains less of the variance.
