@@ -76,18 +76,18 @@ class ModelGroup:
             self._model = PersonModel.of(self.policy)
         return self._model
 
-    def ended(self, flat: Ints, people: PeopleArrays) -> NDArray[np.bool_]:
+    def ended(self, flat: Ints, them: PeopleArrays) -> NDArray[np.bool_]:
         """Return whether the episode has ended for some people."""
-        return np.asarray(self.arrays.final[self._minds.goal[people.who[flat]], people.x[flat]])
+        return np.asarray(self.arrays.final[self._minds.goal[them.who[flat]], them.x[flat]])
 
-    def act(self, flat: Ints, people: PeopleArrays) -> None:
+    def act(self, flat: Ints, them: PeopleArrays) -> None:
         """Let some people, all of this model, act once."""
-        at, there = self._problem.effects(people.x[flat], people.heard[flat])
-        model, minds, perceived = self._ready(people.who[flat[at]], there)
+        at, there = self._problem.effects(them.x[flat], them.heard[flat])
+        model, minds, perceived = self._ready(them.who[flat[at]], there)
         if self._rule is None:
-            act(flat, people, minds, model.arrays)
+            act(flat, them, minds, model.arrays)
         else:
-            TrustOfPeople(self._rule, perceived, model.optimal).act(flat, people, minds, model.arrays)
+            TrustOfPeople(self._rule, perceived, model.optimal).act(flat, them, minds, model.arrays)
 
     def _ready(self, who: Ints, x: Ints) -> tuple[PersonModel, Minds, Floats]:
         """Compute what some people would choose in some rows, both of shape (N,), where it is not known yet."""

@@ -32,22 +32,22 @@ class TrustOfPeople:
     perceived: Floats
     optimal: NDArray[np.bool_]
 
-    def act(self, flat: NDArray[np.int64], people: PeopleArrays, minds: Minds, arrays: ProblemArrays) -> None:
+    def act(self, flat: NDArray[np.int64], them: PeopleArrays, minds: Minds, arrays: ProblemArrays) -> None:
         """Let some people, all of one model, act once; theta moves by the rule.
 
         Parameters
         ----------
         flat : int array
             Their indices in the arrays.
-        people : PeopleArrays
+        them : PeopleArrays
         minds : Minds
             Their choices, with a rate of 0 for equation (7).
         arrays : ProblemArrays
             Their problem.
         """
-        before, theta, outcomes = people.x[flat], people.theta[flat], people.outcomes[flat]
-        act(flat, people, minds, arrays)
-        who, heard = people.who[flat], people.heard[flat]
+        before, theta, outcomes = them.x[flat], them.theta[flat], them.outcomes[flat]
+        act(flat, them, minds, arrays)
+        who, heard = them.who[flat], them.heard[flat]
         suggested, value = arrays.suggested[before, heard], minds.value
         advised = np.flatnonzero(suggested >= 0)
         who, x, slot = who[advised], before[advised], suggested[advised]
@@ -55,6 +55,6 @@ class TrustOfPeople:
             self.perceived[who, x, slot], self.perceived[who, x].min(axis=1), value[who, x],
             value[who, arrays.targets[x, slot]], self.optimal[x, slot, minds.goal[who]],
         )  # fmt: skip
-        event = perceived.event(people.slot[flat[advised]] == slot, self.rule.feedback)
+        event = perceived.event(them.slot[flat[advised]] == slot, self.rule.feedback)
         flat = flat[advised]
-        people.theta[flat], people.outcomes[flat] = moved(self.rule, theta[advised], outcomes[advised], event)
+        them.theta[flat], them.outcomes[flat] = moved(self.rule, theta[advised], outcomes[advised], event)
