@@ -46,9 +46,10 @@ ROOMS = {
         state_cache likely_states truncated_task shared_task closed_problem backups compliance_relaxation
         truncated_bound growing_problem leaf_estimates truncated_policy person_problem""",
     "assist.team": """policy_names by_policy state action_check assignment schedule people_at_work seen baselines
-        attention attention_never outlook questions robots_at_work trust_of_people model_group engine priority whittle
-        rollout policies affordable drawn solving union matching pool common_random_numbers goal_knowledge trace
-        episodes beginning requested traced_run run memory_trial simulate belief_trace illustration""",
+        attention attention_never outlook questions robots_at_work trust_of_people model_group team_tasks engine
+        priority whittle rollout policies affordable drawn solving union matching pool common_random_numbers
+        goal_knowledge trace episodes beginning requested traced_run run memory_trial simulate
+        belief_trace illustration""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion path_search sampled_bound",
     "assist.certify": """options action_prices envelope priced_steps prices certificate visited_beliefs
         computation truncated_prices sample_paths team_bound relaxed_value comparison""",

@@ -23,13 +23,13 @@ from ..team.beginning import Beginnings, World
 from ..team.common_random_numbers import CommonRandomNumbers
 from ..team.engine import Engine, StepTaken
 from ..team.goal_knowledge import known_at_first
-from ..team.model_group import TeamTasks
 from ..team.people_at_work import PeopleAtWork
 from ..team.pool import Pool
 from ..team.robots_at_work import RobotsAtWork
 from ..team.schedule import Schedule
 from ..team.solving import MAX_ENUMERATED
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
+from ..team.team_tasks import TeamTasks
 
 if TYPE_CHECKING:
     from planner import AnyTask

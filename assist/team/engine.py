@@ -33,12 +33,12 @@ from ..person.problem_arrays import Acts
 from ..person.random_kinds import Kind
 from ..person.robots import NOTHING_DONE
 from ..person.rows_of_people import by_model
-from .model_group import TeamTasks
 from .people_at_work import PeopleAtWork
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent
 from .seen import Saw, let_see
 from .state import BASE, TeamAction, TeamState
+from .team_tasks import TeamTasks
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]

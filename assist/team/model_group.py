@@ -1,4 +1,4 @@
-"""The people of one model, as compiled code and the trust rules of their setting see them, and the tasks of teams.
+"""The people of one model, as compiled code and the trust rules of their setting see them.
 
 What a person would choose in a row is computed when somebody is there. In a whole task that is done at the start, for
 all people and rows.
@@ -7,7 +7,7 @@ all people and rows.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,6 @@ from ..person.people_arrays import Minds, PeopleArrays
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only
-from ..person.rows_of_people import RowsOfPeople
 from .trust_of_people import TrustOfPeople
 
 Ints = NDArray[np.int64]
@@ -157,20 +156,3 @@ def _mind(human: Human, choices: Choices) -> tuple[Floats, Floats, Floats]:
     """Return a person's choice probabilities, shape (n, A), values V(x), shape (n,), and perceived costs, (n, A)."""
     q = perceived_cost(choices, human.expects(choices))
     return chances(human.chooses, choices, q, np.array([human.beta]))[0], value(human.chooses, choices, q), q
-
-
-class TeamTasks(RowsOfPeople):
-    """The tasks of teams: the row of each person in the problem of their policy, and how people choose there.
-
-    Parameters
-    ----------
-    policies : sequence of Policy
-    groups : mapping of int to ModelGroup
-        The people of each policy that occurs, by its index.
-    model, who : int arrays, shape (N, K)
-        Index of each person's policy, and their row in the `Minds` of its group.
-    """
-
-    def __init__(self, policies: Sequence[Policy], groups: Mapping[int, ModelGroup], model: Ints, who: Ints) -> None:
-        super().__init__(policies, model)
-        self.groups, self.who = groups, who

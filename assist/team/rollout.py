@@ -35,13 +35,14 @@ from ..person.time_expansion import AWAY, HERE
 from ..person.travel import Travel
 from .by_policy import ByPolicy
 from .engine import Engine
-from .model_group import ModelGroup, TeamTasks
+from .model_group import ModelGroup
 from .people_at_work import PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
 from .schedule import Schedule
 from .seen import Saw
 from .state import BASE, NOBODY, TeamAction, TeamState
+from .team_tasks import TeamTasks
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]

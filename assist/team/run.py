@@ -18,13 +18,14 @@ from .common_random_numbers import CommonRandomNumbers
 from .engine import Engine, StepTaken
 from .episodes import Episodes
 from .goal_knowledge import acted_on, first_beliefs, known_at_first
-from .model_group import ModelGroup, TeamTasks
+from .model_group import ModelGroup
 from .people_at_work import PeopleAtWork
 from .pool import Pool
 from .questions import Questions
 from .requested import Requested
 from .robots_at_work import RobotsAtWork
 from .state import NOBODY, TeamAction, TeamPolicy
+from .team_tasks import TeamTasks
 from .traced_run import Tracer
 
 Ints = NDArray[np.int64]
