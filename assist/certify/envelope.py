@@ -22,22 +22,26 @@ theta between grid points divided between them, as people of the model move: lin
 an end of the interval or at a grid point within.
 
 Of a truncated task not all states are known, so that a gain may have any size. Values at its frontier are those of
-people who never err, which no theta exceeds (`truncated_bound.bounded` with `theta_moves`).
+people who never err, which no theta exceeds (`truncated_bound.bounded` with `outer` "none").
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..declare.declared import MOST
 from ..people.decision import Floats
-from ..people.theta_reach import ThetaReach
+from ..people.neighbours import Range
+from ..people.theta_reach import ThetaReach, range_of_gains
 from ..person.attention_subproblem import AttentionSubproblem, backwards
+from ..person.each_goal import Outer
 from ..person.mdp_values import initial_upper_bounds, value_iteration
+from ..person.problem_rows import ProblemRows
 from ..person.qmdp import QMDP, look_ahead
 from ..person.solver import Solution
 from ..team.pool import Pool
@@ -54,8 +58,9 @@ SWEEPS = 10_000
 class OwnTheta:
     """The bounds on the subproblem of a person who sees nobody: theta moves by suggestions to themselves only."""
 
-    moves: ClassVar[bool] = False
-    """Whether theta moves otherwise, too."""
+    def outer(self, kept: bool) -> Outer:
+        """Return what becomes of the relaxation on an outer truncated task, which perhaps is to be kept."""
+        return "kept" if kept else "frontier"
 
     def tail(self, free: AttentionSubproblem) -> Floats:
         """Return the values with free attention, shape (P * n, H, T), of a subproblem without prices."""
@@ -82,7 +87,6 @@ class Envelope(OwnTheta):
         How far theta comes in a step.
     """
 
-    moves: ClassVar[bool] = True
     reach: ThetaReach
 
     @classmethod
@@ -96,8 +100,12 @@ class Envelope(OwnTheta):
         """
         kind, grid = pool.model[list(team)].tolist(), pool.policies[0].pomdp.grid
         seen, most = pool.setting.neighbourhood(len(team)), len(pool.setting.robots)
-        reach = ThetaReach.at(seen, places, kind, lambda number: pool.policies[number].problem.gains, grid, most)
+        reach = ThetaReach.at(seen, places, kind, lambda number: _gains(pool.policies[number].problem), grid, most)
         return OwnTheta() if reach is None else cls(reach)
+
+    def outer(self, kept: bool) -> Outer:  # noqa: ARG002
+        """Return that it is not computed, as theta moves by a person's own suggestions only in it."""
+        return "none"
 
     def tail(self, free: AttentionSubproblem) -> Floats:
         """Return the values with free attention, as in `OwnTheta`."""
@@ -140,6 +148,12 @@ class Envelope(OwnTheta):
         robots, attended = len(self.reach.low) - 1, visits.attended()[:, :, None, None]
         each = [look_ahead(visits.pomdp, self.reach.lifted(value, robots - less), states).q_mdp for less in (1, 0)]
         return np.where(attended, *each)
+
+
+def _gains(problem: ProblemRows) -> Range:
+    """Return the least and the largest gain of a step of a person who may have got a suggestion."""
+    first = problem.first
+    return range_of_gains(first.model, first.robot_actions > 1) if problem.whole else (-MOST, MOST)
 
 
 class Lifted(NamedTuple):

@@ -174,7 +174,7 @@ def kinds_of(
         # problem is one on that of the whole task (`person.truncated_bound`).
         envelope = Envelope.of(pool, team, places)
         each_goal = pool.policies[model].problem.bounded(
-            entry, with_outer=with_outer, theta_moves=envelope.moves,
+            entry, outer=envelope.outer(with_outer),
             limits=BoundLimits(until, room if with_outer else memory_limit_mb, room).shared(len(members) - done),
         )  # fmt: skip
         given += [(one, chance, places, entry, entry_steps, envelope) for chance, one in each_goal]

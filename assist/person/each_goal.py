@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -78,6 +78,12 @@ class BoundLimits:
 
 
 NO_LIMITS = BoundLimits()
+
+Outer = Literal["none", "frontier", "kept"]
+"""What becomes of the relaxation on an outer truncated task (`truncated_bound`).
+
+It is not computed, or bounds values at the frontier of the inner task, or is kept as well.
+"""
 
 
 def given_goals(pomdp: AssistPOMDP) -> list[tuple[float, AssistPOMDP]]:

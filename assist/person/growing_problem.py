@@ -29,7 +29,7 @@ from ..people.decision import NOTHING, Floats, Ints
 from ..people.goals import each_of, first_of, prior_of
 from ..people.memory_on_demand import memory_of
 from .assumptions import Assumptions
-from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem
+from .each_goal import NO_LIMITS, BoundLimits, Outer, TruncatedProblem
 from .expected_values import expected
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
@@ -93,7 +93,7 @@ class GrowingProblem(ProblemRows):
         self.dearest = float(costs.max(initial=1.0))
         self._rows = Rows(OF_PLACES | OF_CHOICES)
         self._tables = OrderedDict[str, None]()  # the last used last
-        self._bounds = dict[tuple[float, bool, bool], list[tuple[float, TruncatedProblem]]]()
+        self._bounds = dict[tuple[float, Outer], list[tuple[float, TruncatedProblem]]]()
         self._lock = threading.RLock()
         self._step = self._learn(np.array([known.initial]))  # it has row 0
         self.first = self._step.pomdp
@@ -113,12 +113,12 @@ class GrowingProblem(ProblemRows):
         return memory_of(self.ground.known).state_of(places)
 
     def bounded(
-        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
+        self, entry: float, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
     ) -> list[tuple[float, TruncatedProblem]]:
         """Return each goal's probability and its problem on a truncated task, computed once; `limits` are of all."""
-        for outer in (True, with_outer):  # with the outer relaxation it includes everything
-            if (entry, outer, theta_moves) in self._bounds:
-                return self._bounds[entry, outer, theta_moves]
+        for use in (outer, "kept") if outer != "none" else (outer,):  # what is kept includes everything
+            if (entry, use) in self._bounds:
+                return self._bounds[entry, use]
         found, each = list[tuple[float, TruncatedProblem]](), each_of(self.ground.known)
         possible = [
             (known, share) for known, share in zip(each, prior_of(self.ground.known).values(), strict=True) if share
@@ -126,11 +126,11 @@ class GrowingProblem(ProblemRows):
         for done, (known, share) in enumerate(possible):
             own = replace(limits.shared(len(possible) - done), kept_mb=limits.kept_mb / len(possible))
             problem = bounded(
-                known, self.assumed, entry=entry, size=self.ground.size, with_outer=with_outer,
-                theta_moves=theta_moves, limits=own, among=self.ground.known,
+                known, self.assumed, entry=entry, size=self.ground.size, outer=outer,
+                limits=own, among=self.ground.known,
             )  # fmt: skip
             found.append((share, problem))
-        self._bounds[entry, with_outer, theta_moves] = found
+        self._bounds[entry, outer] = found
         return found
 
     def on(self, region: TruncatedTask) -> AssistPOMDP:

@@ -13,12 +13,9 @@ import numpy as np
 
 from planner import CostToGo
 
-from ..declare.declared import MOST
 from ..people.choices import Choices
 from ..people.decision import Ints
-from ..people.neighbours import Range
-from ..people.theta_reach import range_of_gains
-from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem, given_goals
+from .each_goal import NO_LIMITS, BoundLimits, Outer, TruncatedProblem, given_goals
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 from .rows import NONE
@@ -98,13 +95,8 @@ class ProblemRows(Protocol):
         """Whether all places have rows, of which everything is known from the start."""
         return self.region is None
 
-    @property
-    def gains(self) -> Range:
-        """The least and the largest gain of a step of a person who may have got a suggestion (`range_of_gains`)."""
-        return -MOST, MOST
-
     def bounded(
-        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
+        self, entry: float, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
     ) -> list[tuple[float, TruncatedProblem]]:
         """Return each possible goal's probability, and the problem given this goal whose upper bound holds for all.
 
@@ -176,16 +168,11 @@ class WholeProblem(ProblemRows):
         most, robots = self.first.suggested.shape
         return Extent(most, robots, float(h[np.isfinite(h)].max(initial=0.0)))
 
-    @property
-    def gains(self) -> Range:
-        """The gains of the steps that there are."""
-        return range_of_gains(self.first.model, self.first.robot_actions > 1)
-
     def bounded(
-        self, entry: float, *, with_outer: bool = False, theta_moves: bool = False, limits: BoundLimits = NO_LIMITS
+        self, entry: float, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
     ) -> list[tuple[float, TruncatedProblem]]:
         """Return each goal's probability and its problem, which has no frontier."""
-        del entry, with_outer, theta_moves, limits
+        del entry, outer, limits
         return [(chance, TruncatedProblem(problem)) for chance, problem in given_goals(self.first)]
 
     def task_of(self, goal: int) -> Choices:

@@ -77,7 +77,7 @@ from .attention_subproblem import AttentionSubproblem
 from .backups import bellman_backup
 from .closed_problem import value_beyond
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
-from .each_goal import NO_LIMITS, BoundLimits, TruncatedProblem
+from .each_goal import NO_LIMITS, BoundLimits, Outer, TruncatedProblem
 from .leaf_bounds import LeafBounds
 from .mdp_values import initial_upper_bounds, value_iteration
 from .memory_needed import first_bounds_bytes, require_room
@@ -194,8 +194,7 @@ def bounded(
     *,
     entry: float,
     size: int,
-    with_outer: bool = False,
-    theta_moves: bool = False,
+    outer: Outer = "frontier",
     limits: BoundLimits = NO_LIMITS,
     among: CostToGo | Goals | None = None,
 ) -> TruncatedProblem:
@@ -212,11 +211,9 @@ def bounded(
         Smallest cost of coming to the person, in cost units.
     size : int
         Number of states on which policies are solved; the inner truncated task is not larger.
-    with_outer : bool
-        Whether the outer relaxation is returned as well.
-    theta_moves : bool
-        Whether theta may also move by what the person sees of others. Then there is no outer relaxation, which has
-        moves by the person's own suggestions only.
+    outer : Outer
+        Whether there is an outer relaxation, in which theta moves by the person's own suggestions only, and whether it
+        is returned as well.
     limits : BoundLimits
     among : CostToGo or Goals, optional
         As in `TruncatedTask.of`.
@@ -230,20 +227,20 @@ def bounded(
     person = _Person(known, assumed, limits, known if among is None else among)
     inner, problem, hidden = person.inner(size)
     left = limits.left / 2  # for the expansion of the outer task; the rest is for its values
-    seen = 0 if known.searches or theta_moves else SIZES.seen
+    seen = 0 if known.searches or outer == "none" else SIZES.seen
     if not (seen > hidden and len(inner.frontier) and left > 0):
         return TruncatedProblem(person.within(inner, problem, None))
-    outer, around_it = person.outer(seen, hidden, None if left == math.inf else left)
-    visits, value = _values(around_it, person.complying(outer, around_it.hidden.expertise), entry, limits)
-    found = OuterRelaxation(visits, value, outer.local(inner.states))
+    around, around_it = person.outer(seen, hidden, None if left == math.inf else left)
+    visits, value = _values(around_it, person.complying(around, around_it.hidden.expertise), entry, limits)
+    found = OuterRelaxation(visits, value, around.local(inner.states))
     problem = person.within(inner, problem, found)
-    if not with_outer or (found.place < 0).any():
+    if outer != "kept" or (found.place < 0).any():
         return TruncatedProblem(problem)
     # Half of the memory is for the pairs, at two positions of the robot each. A pair needs about 3.3 stored states,
     # since its successors on the frontier are stored as well.
     room = 0.5 * limits.kept_mb * 1e6 / (2 * 3.3 * _bytes_of_a_state(problem))
     pairs = int(max(SIZES.pairs_least, min(SIZES.pairs, in_time, room)))
-    return TruncatedProblem(problem, found, person.between(inner, outer, found, entry), pairs)
+    return TruncatedProblem(problem, found, person.between(inner, around, found, entry), pairs)
 
 
 @dataclass(frozen=True)

@@ -177,13 +177,13 @@ def test_time_and_memory_are_shared_among_kinds(monkeypatch: pytest.MonkeyPatch)
     for module in (prices, each_goal):
         monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: 100.0))
     told: list[tuple[str, int, int]] = []
-    for with_outer, limit in ((True, 100.0), (False, 300.0)):
+    for with_outer, outer, limit in ((True, "kept", 100.0), (False, "frontier", 300.0)):
         kinds = kinds_of(
             fake, (0, 1, 2), SETTING.travel(3), 2, with_outer=with_outer, memory_limit_mb=300.0, until=112.0,
             tell=lambda *what: told.append(what),
         )  # fmt: skip
         limits = [BoundLimits(until, limit, 100.0) for until in (104.0, 106.0, 112.0)]
-        assert asked == [(0.02, {"with_outer": with_outer, "theta_moves": False, "limits": one}) for one in limits]
+        assert asked == [(0.02, {"outer": outer, "limits": one}) for one in limits]
         assert [(kind.places, kind.problem.pairs, kind.share) for kind in kinds] == [
             ((0,), 0, 1),
             ((1,), 7, 1),

@@ -153,7 +153,7 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
     sizes = replace(truncated_bound.SIZES, hidden=3, tolerance=1e-6, sweeps=10_000)
     monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     table, setting, human = kit("tiny"), Setting(c_suggest=0.2), somebody()
-    found = bounded(table, Assumptions.of(setting, human, PRIOR), entry=ENTRY, size=100, with_outer=True)
+    found = bounded(table, Assumptions.of(setting, human, PRIOR), entry=ENTRY, size=100, outer="kept")
     assert found.outer is not None
     assert found.between is not None
     price = np.array([0.0, 0.6, 0.3, 0.5])
@@ -254,7 +254,7 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
             Assumptions.of(Setting(), who, PRIOR),
             entry=ENTRY,
             size=10,
-            with_outer=True,
+            outer="kept",
             limits=BoundLimits(memory_mb=most),
         ).outer
         for most in (math.inf, 3.0)
@@ -275,7 +275,7 @@ def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch:
     monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     looked_at, assumed = [], Assumptions.of(Setting(), somebody(), PRIOR)
     for limits in (BoundLimits(), BoundLimits(kept_mb=0.1), BoundLimits(kept_mb=4.0), BoundLimits(until=0.0)):
-        found = bounded(kit("paper"), assumed, entry=ENTRY, size=50, with_outer=True, limits=limits)
+        found = bounded(kit("paper"), assumed, entry=ENTRY, size=50, outer="kept", limits=limits)
         looked_at.append([int((~found.problem.ends).sum()), found.pairs])
     everything, short, some, late = looked_at
     assert everything == [40, 300]
