@@ -12,6 +12,7 @@ import numpy as np
 
 from ..declare.declared import MOST
 from ..declare.refusals import Refusal
+from ..people.belief import moved
 from ..people.decision import NOTHING
 from ..people.neighbours import SeenEvent
 from ..person.settings import Setting
@@ -51,7 +52,7 @@ class Saw(News):
         """Move the belief in the person who saw it."""
         grid = record.problem.policy.pomdp.grid
         low, weight = grid.shares(team.beliefs.neighbours.rule.update(grid.theta, self.event), grid.count)
-        team.beliefs.moved(np.array([record.place]), low[None], weight[None])
+        team.belief[record.place] = moved(team.belief[record.place, None], low[None], weight[None])[0]
 
 
 def seen_by(record: RosterEntry) -> list[Saw]:

@@ -26,7 +26,7 @@ import numpy as np
 
 from planner.system.arrays import frozen
 
-from .belief import Grid
+from .belief import Grid, moved
 from .decision import Bools, Floats, Ints
 from .hidden_type import mean_over_goals
 from .human import HumanModel
@@ -217,24 +217,20 @@ class Neighbourhood:
             found[at] = self.rule.update(found[at], event)
         return rows, found
 
-    def shares(self, grid: Grid, size: int, helped: Helped, there: Bools) -> tuple[Ints, Ints, Floats]:
-        """Return who has seen something, and the shares of each of the grid's values of theta after it.
+    def believe(self, belief: Floats, grid: Grid, helped: Helped, there: Bools) -> None:
+        """Move theta in the beliefs about those who have seen something.
 
         Parameters
         ----------
+        belief : float array, shape (N * K, H, T)
+            It changes in place; without rows nothing does.
         grid : Grid
-        size : int
-            Number of people, N * K.
         helped, there
             As in `moved`.
-
-        Returns
-        -------
-        rows, low, weight : arrays, shapes (m,), (m, T) and (m, T)
-            As `moved` and `Grid.shares` return them.
         """
-        rows, theta = self.moved(np.broadcast_to(grid.theta, (size, len(grid.theta))), helped, there)
-        return rows, *grid.shares(theta, grid.count)
+        if len(belief):
+            rows, theta = self.moved(np.broadcast_to(grid.theta, (len(belief), len(grid.theta))), helped, there)
+            belief[rows] = moved(belief[rows], *grid.shares(theta, grid.count))
 
     def _in_order(self, helped: Helped, there: Bools) -> Iterator[tuple[Ints, SeenEvent]]:
         """Yield who sees the first suggestion in each team, with the events as they see them, then the second, ..."""

@@ -8,7 +8,6 @@ Who holds beliefs later does not ask which of the two they are:
 
 - `observe` updates them by a step of a simulation, `update` by actions that were seen as they are;
 - `told` updates them by an answer, whose likelihood under each type is known;
-- `moved` moves theta by what people have seen of their neighbours;
 - `expected` answers a question about people, as an expected value over what is uncertain;
 - `x` has the most probable state of each person, `belief` the belief in their type, and `erred` whether their last
   action was probably a mistake; `finished` is the probability that they have reached their goal.
@@ -77,7 +76,8 @@ Groups = Iterable[tuple[PersonModel, Ints]]
 class Beliefs(Protocol):
     """What a robot knows of P people; see the module's docstring.
 
-    `neighbours` is what the people of each team see of each other, whether or not the robot knows of it.
+    `neighbours` is what the people of each team see of each other, whether or not the robot knows of it. Its `believe`
+    moves theta in `belief` by that.
     """
 
     x: Ints
@@ -102,10 +102,6 @@ class Beliefs(Protocol):
 
     def update(self, people: Ints, acts: Acts, model: PersonModel) -> None:
         """Update the beliefs in some people of one model, shape (m,), by actions that were seen as they are."""
-        ...
-
-    def moved(self, people: Ints, low: Ints, weight: Floats) -> None:
-        """Move theta of some people, shape (m,), whose states are known, as `people.belief.moved` does."""
         ...
 
     def told(self, person: int, likelihood: Floats, policy: Policy) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.system.compiling import ReadableFirst
 
-from ..people.belief import ImpossibleObservationError, moved
+from ..people.belief import ImpossibleObservationError
 from ..people.decision import Bools, Floats, Ints
 from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from .belief_filter import update_seen
@@ -51,11 +51,6 @@ class Seen:
     def update(self, people: Ints, acts: Acts, model: PersonModel) -> None:
         """Update the beliefs by actions that were seen, as in `Beliefs`."""
         _update(people, acts, self.belief, self.erred, model.optimal, model.possible, model.arrays)
-
-    def moved(self, people: Ints, low: Ints, weight: Floats) -> None:
-        """Move theta of some people, as in `Beliefs`."""
-        if len(self.belief):
-            self.belief[people] = moved(self.belief[people], low, weight)
 
     def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
         """Update a belief by an answer, as in `Beliefs`."""

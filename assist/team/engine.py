@@ -36,7 +36,7 @@ from ..person.rows_of_people import by_model
 from .people_at_work import PeopleAtWork
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent
-from .seen import Saw, let_see
+from .seen import let_see
 from .state import BASE, TeamAction, TeamState
 from .team_tasks import TeamTasks
 
@@ -82,8 +82,8 @@ class StepTaken(NamedTuple):
     cost, reward : float arrays, shape (N, K)
         Cost of each person's choice; and minus this cost and those of the questions to the person, and of the robots'
         waiting, actions and ways for them.
-    saw : Saw
-        Who saw somebody else helped.
+    own_theta : float array, shape (N, K)
+        Theta after what was suggested to the person, and before what they saw of others.
     """
 
     now: Now
@@ -96,7 +96,7 @@ class StepTaken(NamedTuple):
     slot: Ints
     cost: Floats
     reward: Floats
-    saw: Saw
+    own_theta: Floats
 
 
 class Engine:
@@ -223,12 +223,13 @@ class Engine:
         acts = Acts(before.reshape(-1), arrays.heard, arrays.slot, ~finished)
         models = [(groups[number].model, flat) for number, flat in now.by_policy]
         self.beliefs.observe(acts, said.reshape(-1), models, self._uniform)
-        saw = let_see(them, self.beliefs, acts, arrays.x, models, self._uniform)
+        own_theta = them.theta.copy()
+        let_see(them, self.beliefs, acts, arrays.x, models, self._uniform)
         cost, clock = arrays.cost.reshape(said.shape), self.clock.copy()
         self.clock[now.running] += 1
         self._now, self._charged = None, np.zeros(said.shape)
         slot = arrays.slot.reshape(said.shape)
-        return StepTaken(now, clock, sent, executes, before, heard, theta, slot, cost, -charged - cost, saw)
+        return StepTaken(now, clock, sent, executes, before, heard, theta, slot, cost, -charged - cost, own_theta)
 
     def _say(self, sent: Sent) -> tuple[Ints, Bools, Floats]:
         """Return the robot action for each person, which robots execute an action, and the costs for each person.

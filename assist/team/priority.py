@@ -108,7 +108,7 @@ class SolvedSubproblem:
 
     def advantage(
         self, before: NDArray[np.int64], now: NDArray[np.int64], x: NDArray[np.int64], move: NDArray[np.int64],
-        h: NDArray[np.int64], t: NDArray[np.int64],
+        h: NDArray[np.int64], was: NDArray[np.int64], t: NDArray[np.int64],
     ) -> Floats:  # fmt: skip
         """Return the Q-value of each move minus the value before it, shape (N,), at a constant price of attention.
 
@@ -117,12 +117,12 @@ class SolvedSubproblem:
         before, now : int arrays, shape (N,)
             Position of the robot before the decision, and where the move is made.
         x, move : int arrays, shape (N,)
-        h, t : int arrays, shape (N,)
-            The person's type and cell of theta.
+        h, was, t : int arrays, shape (N,)
+            The person's type, and their cell of theta for the value before and for the move.
         """
         states = self.states[0]
         solved = self.policy
-        return np.asarray(solved.q_mdp[states[now, x], move, h, t] - solved.value_mdp[states[before, x], h, t])
+        return np.asarray(solved.q_mdp[states[now, x], move, h, t] - solved.value_mdp[states[before, x], h, was])
 
 
 @dataclass(frozen=True, eq=False)

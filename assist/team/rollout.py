@@ -12,8 +12,9 @@ comes and goes (`assist.person.attention_subproblem`), in the sampled type,
 
 summed over people. D is a discounted sum of differences between V and its expectation one step before, so that its mean
 is 0. The sum of advantages has the mean of the rewards, followed by V, without the part of their variance that V
-explains. The prices of attention in Q are added again, and so is the change of V by what people see of each other, of
-which these problems do not know. All alternatives meet the same random numbers.
+explains. The prices of attention in Q are added again. These problems do not know what people see of each other. So
+V(s_h) has theta before what was seen in the step before, and Q has theta after it. All alternatives meet the same
+random numbers.
 """
 
 from __future__ import annotations
@@ -40,7 +41,6 @@ from .people_at_work import PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
 from .schedule import Schedule
-from .seen import Saw
 from .state import BASE, NOBODY, TeamAction, TeamState
 from .team_tasks import TeamTasks
 
@@ -271,7 +271,7 @@ class _Paths:
             Seen(them.row.reshape(-1), known.belief, known.erred, known.neighbours.believed),
         )  # fmt: skip
         # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
-        self.engine.clock[:] = team.step
+        self.engine.clock[:], self._own_theta = team.step, them.theta.copy()
         robots.location[:], robots.busy_until[:] = team.location[own], team.step + 1 - team.free[own]
 
     def values(self) -> Floats:
@@ -299,49 +299,21 @@ class _Paths:
         gained += self.rollout.base.price[0] * attended.sum(axis=1)
         # In the position after the robot's way: leave or stay away (0), or stay (1), or make a suggestion (2 and up).
         move = np.where(now == HERE, 1 + taken.heard, 0)
-        cell = np.searchsorted(grid.values, taken.theta) + outcomes * len(grid.values)
+        cells = (np.searchsorted(grid.values, theta) for theta in (self._own_theta, taken.theta))
+        was_cell, cell = (cell + outcomes * len(grid.values) for cell in cells)
         after_way, advantage = np.where(now == AWAY, before, now), np.zeros(before.size)
-        each = (before, after_way, move, taken.heard, by, taken.before, engine.tasks.who, cell)
+        each = (before, after_way, move, taken.heard, by, taken.before, engine.tasks.who, was_cell, cell)
         for group, flat in taken.now.by_policy:
-            was, at, does, heard, its, x, h, t = (array.reshape(-1)[flat] for array in each)
+            was, at, does, heard, its, x, h, first, t = (array.reshape(-1)[flat] for array in each)
             policy = self.team.policies[group]
             solved = policy.with_robot(self.rollout.base)
             fleet = self.team.fleet
             speaking = fleet.extra_of(its, policy.pomdp.suggested[x, heard] == NOTHING)
             waiting = np.where(does == 1, fleet.extra[its, NOTHING_DONE], 0.0)
-            advantage[flat] = solved.advantage(was, at, x, does, h, t)
+            advantage[flat] = solved.advantage(was, at, x, does, h, first, t)
             advantage[flat] -= np.where(heard > 0, speaking, waiting)
-        if len(taken.saw.who):
-            advantage += policy.pomdp.gamma * self._gained(taken.saw)
+        self._own_theta = taken.own_theta
         return gained + advantage.reshape(before.shape).sum(axis=1)
-
-    def _gained(self, saw: Saw) -> Floats:
-        """Return by how much the values of those who saw others helped have changed by that, flattened.
-
-        Their own problems know of no neighbours. So the sum of advantages lacks this change of V in each step.
-        """
-        engine, grid = self.engine, self.team.policies[0].pomdp.grid
-        found, was = np.zeros(engine.people.place.size), engine.people.theta.reshape(-1).copy()
-        was[saw.who] = saw.theta
-        groups = engine.now.by_policy  # which renews the rows
-        now, count, x, mind, position = (
-            one.reshape(-1)
-            for one in (
-                engine.people.theta, engine.people.outcomes, engine.people.row, engine.tasks.who,
-                self._positions(engine.clock),
-            )
-        )  # fmt: skip
-        for group, everybody in groups:
-            policy, mine = self.team.policies[group], everybody[(was != now)[everybody]]
-            solved = policy.with_robot(self.rollout.base)
-            for place in np.unique(position[mine]).tolist():
-                flat = mine[position[mine] == place]
-                for theta, sign in ((was, -1), (now, 1)):
-                    certain = np.zeros((len(flat), *policy.pomdp.prior.shape))
-                    cell = np.searchsorted(grid.values, theta[flat]) + count[flat] * len(grid.values)
-                    certain[np.arange(len(flat)), mind[flat], cell] = 1.0
-                    found[flat] += sign * solved.q_values(0, place, x[flat], certain).max(axis=1)
-        return found
 
     def _positions(self, clock: Ints) -> Ints:
         """Return the robot's position for each person, as in their problem with a robot that comes and goes."""
