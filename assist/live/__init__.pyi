@@ -19,7 +19,7 @@ from .events import Rearranged as Rearranged
 from .events import Undone as Undone
 from .explanation import Explanation as Explanation
 from .explanation import Prospect as Prospect
-from .explanation import Sight as Sight
+from .explanation import Remark as Remark
 from .explanation import WhyNothing as WhyNothing
 from .explanation import WhyPerson as WhyPerson
 from .explanation import WhyQuestion as WhyQuestion

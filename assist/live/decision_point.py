@@ -32,10 +32,9 @@ from ..team.state import BASE, TeamPolicy, TeamState, worth_of_actions
 from .advice import Question
 from .causes import CAUSES
 from .contrast import Contrast, contrast
-from .explanation import Explanation, Prospect, Sight, WhyNothing, WhyPerson, WhyQuestion, WhyStep
+from .explanation import Explanation, Prospect, Remark, WhyNothing, WhyPerson, WhyQuestion, WhyStep
 from .live_task import LiveTask
 from .roster import Roster
-from .seen_suggestions import last_sights
 
 T = TypeVar("T", bound=np.generic)
 
@@ -68,8 +67,8 @@ class DecisionPoint:
         What a suggestion by this robot costs more than in people's problems, in cost units.
     policy : callable
         Returns the team's policy.
-    saw : mapping of int to Sight
-        What people saw last of a neighbour in their present task, by place.
+    remarks : mapping of int to Remark
+        What happened to people last in their present task, by place.
     paused : bool
         Whether suggestions are paused.
     """
@@ -88,7 +87,7 @@ class DecisionPoint:
     rule: str
     extra: float = 0.0
     policy: Callable[[], TeamPolicy] = NoAssistance
-    saw: Mapping[int, Sight] = field(default_factory=dict)
+    remarks: Mapping[int, Remark] = field(default_factory=dict)
     paused: bool = False
 
     @classmethod
@@ -118,7 +117,8 @@ class DecisionPoint:
             tuple(team.by_name), tuple(team.problems), policies, team.beliefs.of(np.arange(count)),
             copy(team.model), copy(team.robot), copy(team.present), copy(team.ended),
             {k: _why(one) for k, one in sorted(questions.items())},
-            here, moving[:count], rule, extra, policy, last_sights(team), team.paused,
+            here, moving[:count], rule, extra, policy,
+            {one.place: said for one in team.records if (said := one.remark) is not None}, team.paused,
         )  # fmt: skip
         for number, rows in by_model(point.model, np.arange(count), len(policies)):
             policies[number].problem.hold(point, point.beliefs.x[rows])
@@ -300,7 +300,7 @@ class DecisionPoint:
         if self.rule != "reactive":  # which does not compare people
             others = [one for other, one in self._prospects.items() if other != place]
         others.sort(key=lambda one: -one.score)
-        return WhyPerson(mine, self.here == place, arrived, tuple(others), self.rule, self.saw.get(place))
+        return WhyPerson(mine, self.here == place, arrived, tuple(others), self.rule, self.remarks.get(place))
 
     def _prospect(self, place: int, robot: int) -> Prospect:
         """Return the prospect of one robot action, or of the best suggestion for 0."""

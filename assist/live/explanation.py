@@ -60,34 +60,28 @@ class Prospect(View):
     ]
     cost: Annotated[AnyNumber, Field(description="Cost of the suggestion, in cost units.")]
     moving: Annotated[AnyNumber, Field(description="Cost of the robot's way to the person, in cost units.")]
-    seen: Annotated[
+    beside: Annotated[
         AnyNumber,
-        Field(
-            description=(
-                "By how much it is expected to lower the cost of those who see it, in cost units, if the policy "
-                "considers them."
-            )
-        ),
+        Field(description="By how much it should lower the cost of others, in cost units, if the policy considers it."),
     ] = 0.0
 
     @property
     def score(self) -> float:
         """The score of Algorithm 1: the expected saving minus the costs of the suggestion and of the way."""
-        return self.worth + self.seen - self.cost - self.moving
+        return self.worth + self.beside - self.cost - self.moving
 
     @property
     def threshold(self) -> float:
         """The cost of this suggestion at which its score would be 0, if later ones kept their cost."""
-        return self.worth + self.seen - self.moving
+        return self.worth + self.beside - self.moving
 
 
 @declared
-class Sight(View):
-    """What a person saw last of a suggestion to a neighbour, in their present task."""
+class Remark(View):
+    """What happened to a person in their present task, besides what they did themselves."""
 
-    person: Annotated[AnyText, Field(description="Who saw it.")]
-    neighbour: Annotated[AnyText | None, Field(description="None where it is not said who it is.")]
-    followed: Annotated[Truth, Field(description="Whether the neighbour followed the suggestion.")]
+    what: Annotated[AnyText, Field(description="What it was: the name of its sentence.")]
+    other: Annotated[AnyText | None, Field(description="Of whom it was; None where it is not said who it is.")] = None
 
 
 @declared
@@ -101,7 +95,7 @@ class WhyPerson(View):
         tuple[Prospect, ...], Field(description="The other people who could be helped, the largest score first.")
     ]
     rule: Annotated[AnyText, Field(description="Name of the team's policy.")]
-    saw: Annotated[Sight | None, Seldom(), Field(description="What the person saw last of a neighbour.")] = None
+    remark: Annotated[Remark | None, Seldom(), Field(description="What happened to the person last.")] = None
 
 
 @declared
@@ -208,8 +202,8 @@ class Explanation(View):
         if self.now is None:
             return self
         others = tuple(replace(other, person=None, action=None) for other in self.now.others)
-        saw = None if self.now.saw is None else replace(self.now.saw, neighbour=None)
-        return replace(self, now=replace(self.now, others=others, saw=saw))
+        remark = None if self.now.remark is None else replace(self.now.remark, other=None)
+        return replace(self, now=replace(self.now, others=others, remark=remark))
 
     def _sentences(self, say: Catalogue) -> Iterator[str]:
         if self.step is not None:
@@ -323,14 +317,13 @@ def _person(say: Catalogue, why: WhyPerson, suggests: bool) -> Iterator[str]:
     if why.rule == "reactive":
         yield say("person.mistake")
         return
-    if why.saw is not None:
-        key = "person.saw_followed" if why.saw.followed else "person.saw_declined"
-        neighbour = say.texts["somebody"] if why.saw.neighbour is None else why.saw.neighbour
-        yield say(key, neighbour=neighbour)
+    if why.remark is not None:
+        other = say.texts["somebody"] if why.remark.other is None else why.remark.other
+        yield say(f"person.{why.remark.what}", other=other)
     if suggests or not why.arrived:
         yield _brings(say, "person", mine, here=why.here)
-    if mine.seen:
-        yield say("person.seen" if mine.seen > 0 else "person.seen_harm", worth=say.about(abs(mine.seen)))
+    if mine.beside:
+        yield say("person.beside" if mine.beside > 0 else "person.beside_harm", worth=say.about(abs(mine.beside)))
     left = say.about(mine.score) if mine.score > 0 else say.texts["nought"]
     best = why.others[0].score if why.others else 0.0
     if not why.others:

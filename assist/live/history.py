@@ -14,7 +14,7 @@ from .advice import Advice
 from .event_base import Event
 from .explanation import Explanation
 from .record import Record
-from .seen_suggestions import Saw
+from .roster import News
 from .views import Outlook, RobotView
 
 R = TypeVar("R", bound=Record)
@@ -129,8 +129,8 @@ class History(ABC, Generic[R]):
     def place(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
 
-    def saw(self, person: str) -> Sequence[Saw]:  # noqa: ARG002
-        """Return what a person saw of suggestions to others in their task."""
+    def news(self, person: str) -> Sequence[News]:  # noqa: ARG002
+        """Return what has become known of a person, or moved them, between actions in their task."""
         return ()
 
     @abstractmethod

@@ -14,12 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..declare.refusals import AbsentError
 from ..people.decision import Floats
+from ..people.trust_rules import TrustRule
 from ..person.beliefs import Ask
 from ..person.hidden_beliefs import Hidden
 from ..person.joint_belief import JointBelief, is_certain
 from ..person.rows_of_people import by_model
 from ..person.settings import Setting
 from .advice import Question, Reason
+from .explanation import Remark
 from .live_task import LiveTask
 
 V = TypeVar("V")
@@ -69,9 +71,12 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class News(ABC):
-    """What becomes known of a person, or moves them, between actions: after so many `steps` in their task."""
+    """What becomes known of a person, or moves them, between actions: after so many `steps` in their task.
 
-    steps: int
+    They are no part of what two have in common, as actions before it may be taken back.
+    """
+
+    steps: int = field(compare=False)
 
     @abstractmethod
     def tell(self, team: Roster, record: RosterEntry, setting: Setting) -> None:
@@ -82,6 +87,15 @@ class News(ABC):
         InapplicableError
             It is impossible under the belief. Nothing has changed.
         """
+
+    def moved(self, theta: Floats, rule: TrustRule) -> Floats:  # noqa: ARG002
+        """Return the person's own theta after it, under their rule; as it is unless they are moved."""
+        return theta
+
+    @property
+    def remark(self) -> Remark | None:
+        """What an explanation says of it, if anything."""
+        return None
 
 
 Numbers = dict[str | None, int]
@@ -226,6 +240,11 @@ class RosterEntry:
                     among = {"place": self.place, "order": order, "since": since}
                     yield row | {"suggestion": suggestion, "task": task, "time": time, **among, **doubt}
                 count += action is not None
+
+    @property
+    def remark(self) -> Remark | None:
+        """What an explanation says of the last news in this task, if anything."""
+        return next((said for one in reversed(self.news) if (said := one.remark) is not None), None)
 
     def close_questions(self) -> None:
         """Close the open question, because the person has acted."""

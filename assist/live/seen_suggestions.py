@@ -12,13 +12,14 @@ import numpy as np
 
 from ..declare.declared import MOST
 from ..declare.refusals import Refusal
-from ..people.belief import moved
-from ..people.decision import NOTHING
-from ..people.neighbours import SeenEvent
+from ..people.belief import moved as believed
+from ..people.decision import NOTHING, Floats
+from ..people.neighbours import SeenEvent, parts_of
+from ..people.trust_rules import TrustRule
 from ..person.settings import Setting
 from ..team.seen import gained
 from .beliefs import believe_again
-from .explanation import Sight
+from .explanation import Remark
 from .roster import News, Roster, RosterEntry
 
 Shown = tuple[bool, float]
@@ -39,11 +40,6 @@ class Saw(News):
     weight: float
 
     @property
-    def key(self) -> tuple[str, int]:
-        """What no two events have in common."""
-        return self.neighbour, self.number
-
-    @property
     def event(self) -> SeenEvent:
         """The event, for rules."""
         return SeenEvent(np.array(self.gain), np.array(self.followed), np.array(self.weight))
@@ -52,18 +48,16 @@ class Saw(News):
         """Move the belief in the person who saw it."""
         grid = record.problem.policy.pomdp.grid
         low, weight = grid.shares(team.beliefs.neighbours.rule.update(grid.theta, self.event), grid.count)
-        team.belief[record.place] = moved(team.belief[record.place, None], low[None], weight[None])[0]
+        team.belief[record.place] = believed(team.belief[record.place, None], low[None], weight[None])[0]
 
+    def moved(self, theta: Floats, rule: TrustRule) -> Floats:
+        """Return the person's own theta after it, under their rule."""
+        return parts_of(rule)[1].update(theta, self.event)
 
-def seen_by(record: RosterEntry) -> list[Saw]:
-    """Return what a person saw in their task."""
-    return [one for one in record.news if isinstance(one, Saw)]
-
-
-def last_sights(team: Roster) -> dict[int, Sight]:
-    """Return what people saw last in their tasks, by place, for explanations."""
-    each = ((record, seen_by(record)) for record in team.records)
-    return {one.place: Sight(one.name, saw[-1].neighbour, saw[-1].followed) for one, saw in each if saw}
+    @property
+    def remark(self) -> Remark:
+        """That the person saw it."""
+        return Remark("saw_followed" if self.followed else "saw_declined", self.neighbour)
 
 
 class SeenSuggestions:
@@ -146,10 +140,10 @@ class SeenSuggestions:
         """Let those who are present and see a person see what came of a suggestion; None takes back what was last."""
         shown = self._shown.setdefault(record.place, [])
         if what is None:
-            key = record.name, len(shown)
+            last = record.name, len(shown)
             shown.pop()
             for other in self._team.records:
-                kept = [one for one in other.news if not (isinstance(one, Saw) and one.key == key)]
+                kept = [one for one in other.news if not (isinstance(one, Saw) and (one.neighbour, one.number) == last)]
                 if len(kept) < len(other.news):
                     other.news[:] = kept
                     believe_again(self._team, other, self._setting, offer=other.offer)

@@ -18,7 +18,6 @@ from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, perceived_cost
 from ..people.goals import Goals, each_of, prior_of
 from ..people.human import Human
-from ..people.neighbours import parts_of
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.ranges import Population
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
@@ -28,7 +27,7 @@ from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel
 from ..person.state_cache import NONE, StateCache
 from ..person.truncated_task import TruncatedTask
-from .seen_suggestions import Saw
+from .roster import News
 
 
 class _Step(NamedTuple):
@@ -48,7 +47,7 @@ class SimulatedPerson:
     population : Population or Human
         The person, or the population from which they are drawn.
     trust : TrustRule, optional
-        Rule by which theta changes, also by what is seen of others; by default equation (7) with eta = 0.2.
+        Rule by which theta changes; by default equation (7) with eta = 0.2.
     seed : int
         Random seed of the person and of all their choices.
     """
@@ -70,9 +69,8 @@ class SimulatedPerson:
         self._caches: dict[int, StateCache] = {}
 
     def joins(self, trust: TrustRule) -> None:
-        """Be in a new team, where nothing was suggested or seen yet; theta stays, and moves by this rule then."""
-        self._trust, self._sees = parts_of(trust)
-        self._saw, self._count = set[tuple[str, int]](), np.zeros((), dtype=np.int64)
+        """Be in a new team, where nothing has happened to the person yet; theta stays, and moves by this rule then."""
+        self._trust, self._heard, self._count = trust, set[News](), np.zeros((), dtype=np.int64)
 
     def pursued(self, task: CostToGo | Goals) -> CostToGo:
         """Return the task with the goal that the person pursues; of several goals, it is drawn from their prior."""
@@ -84,12 +82,12 @@ class SimulatedPerson:
         own = np.random.default_rng([self._seed, len(prior)])  # so that no other draw depends on the goals
         return int(own.choice(len(prior), p=prior))
 
-    def see(self, saw: Iterable[Saw]) -> None:
-        """Update theta by what the person has seen of suggestions to others; what was passed before counts once."""
-        for one in saw:
-            if one.key not in self._saw:
-                self._saw.add(one.key)
-                self.theta = float(self._sees.update(np.array(self.theta), one.event))
+    def hear(self, news: Iterable[News]) -> None:
+        """Update theta by what has happened to the person; what was passed before counts once."""
+        for one in news:
+            if one not in self._heard:
+                self._heard.add(one)
+                self.theta = float(one.moved(np.array(self.theta), self._trust))
 
     def act(
         self, task: CostToGo, state: int, applicable: Sequence[str], suggestion: str | None, *,

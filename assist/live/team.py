@@ -32,7 +32,7 @@ from .explanation import Explanation
 from .history import Change, History
 from .names import is_name
 from .record import TeamRecord, without_in_view
-from .seen_suggestions import Saw, seen_by
+from .roster import News
 from .views import GoalAnswer, MemberView, PersonView, RobotView
 
 
@@ -197,9 +197,9 @@ class Team(History[TeamRecord]):
         """Return a person's task, and the number of its present state."""
         return self.tasks[self.desk.entry(person).tasks[-1]], self._state(person).state
 
-    def saw(self, person: str) -> Sequence[Saw]:
-        """Return what a person saw of suggestions to others in their task."""
-        return seen_by(self.desk.entry(person))
+    def news(self, person: str) -> Sequence[News]:
+        """Return what has become known of a person, or moved them, between actions in their task."""
+        return tuple(self.desk.entry(person).news)
 
     def person(self, person: str) -> dict[str, Any]:
         """Return a person's view, as JSON."""

@@ -212,6 +212,12 @@ class WithSeen:
         """Return theta after a suggestion to oneself."""
         return self.own.update(theta, event, *count)
 
+    def __getattr__(self, name: str) -> Any:
+        """Return what else the person's own rule has, such as `counted`."""
+        if name.startswith("__") or name in ("own", "seen"):  # of a copy that has no rules yet
+            raise AttributeError(name)
+        return getattr(self.own, name)
+
 
 ShippedSeen: TypeAlias = SeenNothing | SeenOutcome | SeenFollowed | SeenSteps
 

@@ -128,7 +128,7 @@ class SimulatedSeats:
         """
         with session.lock:  # tasks solved on demand are not thread-safe
             seen = session.person(name)
-            person.see(session.history.saw(name))
+            person.hear(session.history.news(name))
             every, state = session.place(name)
             task, asked = person.pursued(every), seen.get("question")
             if person.state is None or (person.reported and not seen["steps"]):  # at first, or after the task has begun

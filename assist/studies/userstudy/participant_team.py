@@ -138,7 +138,7 @@ class ParticipantTeam:
 
     def _chosen(self, name: str, mate: SimulatedPerson) -> str | None:
         seen = self.team.person(name)
-        mate.see(self.team.saw(name))
+        mate.hear(self.team.news(name))
         if seen["finished"]:
             return None
         task, state = self._tasks[seen["task"]], self.team.place(name)[1]

@@ -114,14 +114,14 @@ class SimulatedParticipant:
         return self._client.observe(self._name, action, seq=seen["seq"])
 
     def _look(self) -> None:
-        """Let the participant see what their team shows of others; in another condition the team is another one."""
+        """Let the participant hear what has happened to them; in another condition their team is another one."""
         cohort = self._session.cohort
         who = cohort.known(self._name)
         stage, team = cohort.stage(who), cohort.team_of(who).team
         if self._place != (stage.kind, stage.period):
             self._place = stage.kind, stage.period
             self._person.joins(team.desk.setting.rule_of_people())
-        self._person.see(team.saw(self._name))
+        self._person.hear(team.news(self._name))
 
     def _answer(self, item: Item) -> Answer:
         """Return an answer: workload and trust as the module says, attention checks right, and others at random."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import pickle
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,9 @@ from assist.learning.rule_families import RuleFamily, parameters_of
 from assist.live.session import Session
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome, SeenSteps, WithSeen
+from assist.people.perceived_suggestions import moved
 from assist.people.ranges import Population
-from assist.people.trust_rules import EquationSeven, constant, outcome
+from assist.people.trust_rules import EquationSeven, Event, constant, outcome
 from assist.person.settings import Setting
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
@@ -89,6 +92,34 @@ def test_a_family_may_have_the_parameters_of_both_rules() -> None:
     assert family.tried == ((0.1, 0.03, 0.03), (0.1, 0.1, 0.1), (0.3, 0.03, 0.03), (0.3, 0.1, 0.1))
 
 
+@dataclass(frozen=True)
+class FallsAfterThree:
+    """Theta falls after three suggestions in a row that were not followed."""
+
+    counts = 2
+    uses_answer, feedback = True, "never"
+
+    def update(self, theta: np.ndarray, event: Event, count: Any = 0) -> np.ndarray:
+        return np.where((np.asarray(count) == 2) & ~event.followed, theta / 2, theta)
+
+    def counted(self, count: np.ndarray, event: Event) -> np.ndarray:
+        return np.where(event.followed, 0, (count + 1) % 3)
+
+
+def test_what_a_rule_of_ones_own_counts_is_counted_beside_what_is_seen() -> None:
+    own: Any = FallsAfterThree()
+    theta, count = np.array([0.8]), np.zeros(1, dtype=np.int64)
+    for followed in (False, False, True, False, False, False):
+        event = Event(
+            np.zeros(1), np.zeros(1, dtype=bool), np.array([followed]), np.zeros(1, dtype=bool), np.zeros(1, bool)
+        )
+        expected = moved(own, theta, count, event)
+        theta, count = moved(WithSeen(own, SeenFollowed()), theta, count, event)
+        assert (theta, count) == expected
+    assert theta == 0.4
+    assert pickle.loads(pickle.dumps(WithSeen(own, SeenFollowed()))) == WithSeen(own, SeenFollowed())
+
+
 def test_who_is_alone_sees_nothing(tiny: Table) -> None:
     _, trace, _ = logged(tiny, "none", "constant", people=4, episodes=2)
     evidence = replayed(tiny, trace)
@@ -140,14 +171,14 @@ def worked(task: Table, file: Path, people: int, tasks: int) -> tuple[list[dict[
                 left.append(late)
             name = left[rng.integers(len(left))]
             view, (own, state) = session.person(name), session.place(name)
-            crew[name].see(session.history.saw(name))
+            crew[name].hear(session.history.news(name))
             theta, action = crew[name].theta, crew[name].act(own, state, view["applicable"], view["suggestion"])
             thetas.append({"person": name, "order": session.history.count + 1, "theta": theta})
             if session.observe(name, action)["finished"]:
                 left.remove(name)
         for name in crew if number + 1 < tasks else ():
             if name in session.people:
-                crew[name].see(session.history.saw(name))
+                crew[name].hear(session.history.news(name))
                 session.begin(name)
     log = session.log()
     session.close()

@@ -21,7 +21,7 @@ from assist.live import (
     Elapsed,
     Explanation,
     Prospect,
-    Sight,
+    Remark,
     TeamRecord,
     TraceReasons,
     WhyNothing,
@@ -580,7 +580,8 @@ def explanations() -> list[Explanation]:
     now = WhyPerson(Prospect("ann", "(a)", 2.0, 0.1, 0.0), True, True, (), "attention")
     found.append(Explanation(WhyStep("(a)", 0.5, Contrast("(a)", "(b)", 0.0, "actions", None, 0.5)), now))
     for seen, followed in ((0.5, True), (-0.5, False)):
-        mine, sight = Prospect("ann", "(a)", 0.2, 0.1, 0.0, seen), Sight("ann", "Ben", followed)
+        mine = Prospect("ann", "(a)", 0.2, 0.1, 0.0, seen)
+        sight = Remark("saw_followed" if followed else "saw_declined", "Ben")
         found.append(Explanation(now=WhyPerson(mine, True, False, (), "attention-outlook", sight)))
         found.append(found[-1].without_names())
     found.append(Explanation(WhyStep("(a)", 0.6, some)).in_state(0.8))

@@ -11,6 +11,7 @@ import pytest
 
 from assist.declare import Refusal
 from assist.live.assistant import Assistant
+from assist.live.explanation import Remark
 from assist.live.session import Session
 from assist.live.trace_reasons import TraceReasons
 from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome
@@ -179,8 +180,8 @@ def test_an_explanation_says_what_was_seen_and_what_those_who_see_it_gain(tiny: 
     advice = team.recommend()
     now = advice.explanation.now
     assert now is not None
-    assert now.saw is None
-    assert now.prospect.seen > 0  # nobody's own theta moves by it, so that the suggestion pays for those who see it
+    assert now.remark is None
+    assert now.prospect.beside > 0  # nobody's own theta moves by it, so that the suggestion pays for those who see it
     assert now.prospect.worth - now.prospect.cost < now.prospect.score
     assert any("Those who see it should save" in one for one in advice.explanation.sentences())
     assert advice.person is not None
@@ -189,12 +190,12 @@ def test_an_explanation_says_what_was_seen_and_what_those_who_see_it_gain(tiny: 
     tell(team, other, team.person(other).applicable[0])
     told = team.explain(other)
     assert told.now is not None
-    assert (told.now.saw.person, told.now.saw.neighbour, told.now.saw.followed) == (other, advice.person, True)  # type: ignore[union-attr]
+    assert told.now.remark == Remark("saw_followed", advice.person)
     assert f"You saw {advice.person} follow a hint." in told.sentences()
     assert f"Sie haben gesehen, dass {advice.person} einem Hinweis folgte." in told.sentences("de")
     assert "You saw somebody follow a hint." in told.without_names().sentences()
-    assert told.as_dict()["now"]["saw"]["neighbour"] == advice.person
-    assert "saw" not in advice.explanation.as_dict()["now"]
+    assert told.as_dict()["now"]["remark"] == {"what": "saw_followed", "other": advice.person}
+    assert "remark" not in advice.explanation.as_dict()["now"]
 
 
 def test_the_operators_view_says_who_sees_whom(tiny: Table, tmp_path: Path) -> None:
@@ -223,8 +224,8 @@ def test_an_explanation_names_what_the_policy_counts_for_those_who_see_it(tiny: 
     team = Assistant(tiny, list(NAMES), policy=policy, setting=setting)
     now = team.recommend().explanation.now
     assert now is not None
-    assert now.prospect.seen > 0
-    assert all(other.seen > 0 for other in now.others)
+    assert now.prospect.beside > 0
+    assert all(other.beside > 0 for other in now.others)
     if policy != "attention-outlook":  # a trace asks any policy alike
         return
     pool = Pool.sample(tiny, 3, seed=2, setting=setting)
@@ -238,11 +239,11 @@ def test_a_policy_that_does_not_consider_them_counts_nothing_for_those_who_see_i
     setting = Setting(c_suggest=0.0, c_move=0.0, neighbours=Neighbours(rule=SeenOutcome(0.3)))
     now = Assistant(tiny, list(NAMES), policy=Pesters(), setting=setting).recommend().explanation.now
     assert now is not None
-    assert now.prospect.seen == 0
+    assert now.prospect.beside == 0
     nothing = Assistant(tiny, list(NAMES), policy="attention", setting=setting).recommend().explanation.nothing
     assert nothing is not None
     assert nothing.prospect is not None
-    assert nothing.prospect.seen == 0
+    assert nothing.prospect.beside == 0
 
 
 def test_pages_are_sent_those_who_changed(tiny: Table, tmp_path: Path) -> None:

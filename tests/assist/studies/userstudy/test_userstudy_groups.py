@@ -143,7 +143,7 @@ def test_theta_of_who_rehearses_moves_by_what_the_condition_shows_of_others(open
         for name in group.members:
             person, acted = everybody[name]._person, len(team.desk.entry(name).steps)
             theta = np.array(person.human.theta)
-            for saw in team.saw(name):
+            for saw in team.news(name):
                 if neighbours is not None and saw.steps < acted:  # before an action of one's own
                     theta = neighbours.rule.update(theta, saw.event)
             assert person.theta == theta
