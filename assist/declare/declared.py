@@ -247,7 +247,7 @@ def declared(cls: type[T] | None = None, *, partial: bool = False, kw_only: bool
     ----------
     cls : type
     partial : bool
-        Whether the fields of its base are None in it unless they are given.
+        Whether the fields of its base are None in it unless they are given. Those of its own are as they are declared.
     kw_only : bool
         Whether fields are given by their names alone, so that those without a default may follow others.
     """
@@ -260,10 +260,11 @@ def _declared(cls: type[T], *, partial: bool, kw_only: bool) -> type[T]:
     if partial:
         base = cls.__mro__[1]
         hints, said = get_type_hints(base, include_extras=True), sentences(base)
+        own, new = cls.__annotations__, {name: text for name, text in said.items() if name not in cls.__annotations__}
         cls.__annotations__ = {
-            name: Annotated[hints[name] | None, Field(description=text)] for name, text in said.items()
-        }
-        for name in said:
+            name: Annotated[hints[name] | None, Field(description=text)] for name, text in new.items()
+        } | own
+        for name in new:
             setattr(cls, name, None)
     made: Any = validated(frozen=True, repr=False, kw_only=kw_only, config=CONFIG)(cls)
     bare = made.__init__

@@ -1,6 +1,7 @@
 """The robots of a team as arrays of shape (M,), and the best robot that one could make of them.
 
-A property of a robot is a field of `Robot`; `Fleet` has the fields of all M robots.
+A property of a robot is a field of `Robot`; `Fleet` has the fields of all M robots. Each field says itself what the
+best of several robots has (`robots.Best`).
 
 People's problems have the *best* robot: it can do what any robot of the team can, at the lowest cost and in the
 shortest time of any. Policies and simulations add what an action of each robot costs more (`Fleet.extra`).
@@ -24,9 +25,9 @@ from numpy.typing import NDArray
 
 from planner.system.arrays import frozen
 
-from ..declare.declared import names_of
+from ..declare.declared import annotation_of, marks, names_of
 from ..people.decision import Bools, Floats, Ints
-from .robots import EXECUTION, SUGGESTION, USUAL, OfRobots, Robot
+from .robots import EXECUTION, SUGGESTION, USUAL, Best, OfRobots, Robot
 
 
 class Kinds(NamedTuple):
@@ -75,20 +76,28 @@ class Fleet:
         """Whether any robot can execute an action."""
         return bool(self.each("execute").any())
 
-    def least(self, name: str) -> float:
-        """Return the lowest value of a cost or time of any robot: of an execution, of any that can execute."""
-        values = self.each(name)
-        return float(values[self.each("execute")].min() if name == "c_execute" and self.executes else values.min())
+    def with_effect(self, name: str) -> list[Any]:
+        """Return the values of a field, of those robots of which it has an effect; there may be none."""
+        where = _best(type(self.robots[0]), name).where
+        return [getattr(robot, name) for robot in self.robots if where is None or getattr(robot, where)]
 
-    @property
+    @cached_property
     def best(self) -> Robot:
         """The best robot: it can do what any can, at the lowest cost and in the shortest time of any.
 
-        Its fields are the least of any robot. A field of which more is better has to be told apart here, or bounds
-        would not hold.
+        The mark `Best` of each field says how the best value is made of those of the robots.
         """
         kind = type(self.robots[0])
-        return kind(execute=self.executes, **{name: self.least(name) for name in names_of(kind) if name != "execute"})
+        return kind(**{
+            name: _best(kind, name).of(self.with_effect(name) or [getattr(robot, name) for robot in self.robots])
+            for name in names_of(kind)
+        })  # fmt: skip
+
+    @cached_property
+    def alike(self) -> bool:
+        """Whether all robots have the same values in all fields that have an effect."""
+        each = map(self.with_effect, names_of(type(self.robots[0])))
+        return all(value == values[0] for values in each for value in values)
 
     @cached_property
     def extra(self) -> Floats:
@@ -114,3 +123,20 @@ class Fleet:
     def extra_of(self, robot: Ints, executes: Bools) -> Floats:
         """Return the extra costs of actions of robots, given by their numbers from 0; others are suggestions."""
         return np.where(executes, self.extra[robot, EXECUTION], self.extra[robot, SUGGESTION])
+
+
+def _best(kind: type[Robot], name: str) -> Best:
+    """Return the mark of a field of robots.
+
+    Raises
+    ------
+    ValueError
+        It has none.
+    """
+    found = next((one for one in marks(annotation_of(kind, name)) if isinstance(one, Best)), None)
+    if found is None:
+        raise ValueError(
+            f"{kind.__name__}.{name}: expected a mark in its annotation that says what the best of several robots has, "
+            "such as Best(min)"
+        )
+    return found

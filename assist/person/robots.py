@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -17,21 +19,46 @@ NOTHING_DONE, SUGGESTION, EXECUTION = range(3)
 """The classes of robot actions, which cost differently."""
 
 
+@dataclass(frozen=True)
+class Best:
+    """Marks a field of robots with what the best robot has that one could make of several (`Fleet.best`).
+
+    Attributes
+    ----------
+    of : callable
+        Returns the best of the robots' values: no robot can do what a robot with this value cannot, or at a lower cost.
+    where : str, optional
+        Field of truth values without which a robot's own value has no effect.
+    """
+
+    of: Callable[[list[Any]], Any]
+    where: str | None = None
+
+
 @declared
 class OfRobots:
     """What robots can do and what it costs; a `Setting` has these fields for robots that do not say otherwise."""
 
-    execute: Annotated[Truth, Field(description="Whether the robot can also execute an action itself.")] = False
-    c_suggest: Annotated[Number, Usual(), Field(ge=0, le=MOST, description="Cost of a suggestion, in cost units.")] = (
-        1.0
+    execute: Annotated[Truth, Best(any), Field(description="Whether the robot can also execute an action itself.")] = (
+        False
     )
+    c_suggest: Annotated[
+        Number, Best(min), Usual(), Field(ge=0, le=MOST, description="Cost of a suggestion, in cost units.")
+    ] = 1.0
     c_execute: Annotated[
-        Number, Field(ge=0, le=MOST, description="Cost of an action that the robot executes, in cost units.")
+        Number,
+        Best(min, where="execute"),
+        Field(ge=0, le=MOST, description="Cost of an action that the robot executes, in cost units."),
     ] = 1.0
     c_move: Annotated[
-        Number, Usual(), Field(ge=0, le=MOST, description="Cost of moving by a distance of 1, in cost units.")
+        Number,
+        Best(min),
+        Usual(),
+        Field(ge=0, le=MOST, description="Cost of moving by a distance of 1, in cost units."),
     ] = 0.5
-    travel_time: Annotated[Number, Field(ge=0, le=LONGEST, description="Steps for moving by a distance of 1.")] = 0.0
+    travel_time: Annotated[
+        Number, Best(min), Field(ge=0, le=LONGEST, description="Steps for moving by a distance of 1.")
+    ] = 0.0
 
     @property
     def costs(self) -> tuple[float, float, float]:
@@ -45,4 +72,4 @@ USUAL = OfRobots()
 
 @declared(partial=True)
 class Robot(OfRobots):
-    """One robot of a team. Where a field is None, the robot has the value of the setting."""
+    """One robot of a team. Where a field of `OfRobots` is None, the robot has the value of the setting."""

@@ -138,7 +138,7 @@ class TeamState:
 
         So it is if all distances are equal, and all robots are alike.
         """
-        return self.travel.equally_far and self.travel.alike and len(self.fleet.kinds.extra) == 1
+        return self.travel.equally_far and self.travel.alike and self.fleet.alike
 
     def refused(self, fault: str) -> UserCodeError:
         """Return the error for a fault of the policy in this step."""

@@ -25,14 +25,14 @@ from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import upper_bound
 from assist.cli.options.config import read_config
 from assist.cli.serve import serve
-from assist.declare.declared import Number, declared, plain
+from assist.declare.declared import Number, Whole, declared, plain
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
 from assist.people.ranges import Population
 from assist.people.user_code import UserCodeError
 from assist.person.fleet import Fleet
 from assist.person.qmdp import qmdp
-from assist.person.robots import Robot
+from assist.person.robots import Best, OfRobots, Robot
 from assist.person.seen_beliefs import Seen
 from assist.person.settings import Setting
 from assist.person.travel import Travel
@@ -63,12 +63,38 @@ def people(robots: int | tuple[Robot, ...], size: int = 3, **setting: Any) -> Po
 class Waits(Robot):
     """A robot that pays for each step in which it is with a person and does nothing."""
 
-    c_wait: Annotated[Number, Field(ge=0, description="Cost of a step of waiting, in cost units.")] = 0.1
+    c_wait: Annotated[Number, Best(min), Field(ge=0, description="Cost of a step of waiting, in cost units.")] = 0.1
 
     @property
     def costs(self) -> tuple[float, float, float]:
         """What each class of robot actions costs."""
         return self.c_wait, self.c_suggest, self.c_execute
+
+
+@declared(partial=True)
+class Carries(OfRobots):
+    """A robot that carries up to a number of kits; more is better."""
+
+    kits: Annotated[Whole, Best(max), Field(ge=1, description="Kits that it carries.")] = 1
+
+
+@declared
+class Unmarked(Robot):
+    """A robot with a field that does not say what the best of several robots has."""
+
+    kits: Whole = 1
+
+
+def test_a_field_says_what_the_best_robot_has() -> None:
+    assert vars(Carries()) == dict.fromkeys(vars(OfRobots())) | {"kits": 1}
+    fleet = Fleet.of((Carries(kits=2), Carries(c_move=0.1)))  # type: ignore[arg-type]
+    assert (fleet.best.kits, fleet.best.c_move, fleet.best.c_suggest) == (2, 0.1, 1.0)  # type: ignore[attr-defined]
+    assert not fleet.alike
+    assert not Fleet.of((Carries(kits=2), Carries())).alike  # type: ignore[arg-type]
+    assert Fleet.of((Robot(c_execute=0.1), Robot())).alike  # which has no effect without execution
+    assert Fleet.of((Robot(execute=True, c_execute=0.4), Robot(c_execute=0.1))).best.c_execute == 0.4
+    with pytest.raises(ValueError, match=r"Unmarked\.kits: expected a mark in its annotation"):
+        _ = Fleet.of((Unmarked(), Unmarked())).best
 
 
 costs = st.sampled_from([None, 0.0, 0.02, 0.3])
