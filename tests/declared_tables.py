@@ -1,6 +1,6 @@
-"""The tables of declared fields and of events in the pages: `python tests/declared_tables.py` writes them.
+"""The tables of declared classes in the pages: `python tests/declared_tables.py` writes them.
 
-A table stands between `<!-- declared MODULE CLASS -->` and `<!-- end -->`.
+A table stands between `<!-- declared MODULE CLASS -->` and `<!-- end -->`; for the rules, `CLASS` is `RULES`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from assist.declare.declared import (
 from assist.declare.options import toml
 from assist.live.event_base import Event
 from assist.live.events import kinds
+from assist.people.trust_rules import RULES, described, fields_of
 from planner.system.results import markdown_table
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -42,7 +43,9 @@ def renewed(text: str) -> str:
 
 
 def table(kind: Any) -> str:
-    """Return the fields of a declared class, or of an event's kinds: what each is."""
+    """Return the fields of a declared class, an event's kinds, or the trust rules: what each is."""
+    if kind is RULES:
+        return rule_table()
     if issubclass(kind, View):
         return markdown_table(("field", "meaning"), [(f"`{name}`", text) for name, text in sentences(kind).items()])
     return event_table(kind) if issubclass(kind, Event) else field_table(kind)
@@ -80,6 +83,18 @@ def event_table(base: type[Event]) -> str:
             )
         )
     return markdown_table(("event", "request", "fields", "reports"), rows)
+
+
+def rule_table() -> str:
+    """Return a table of the shipped trust rules: name, sentence, and the fields that each is made with."""
+    rows = []
+    for name, make in RULES.items():
+        rule, said = make(), sentences(type(make()))
+        numbers = (one for one in fields_of(name) if one != "feedback")  # which all rules have
+        fields = (f"`{one}`, by default {toml(plain(getattr(rule, one)))}: {said[one]}" for one in numbers)
+        first = described(name)
+        rows.append((f"`{name}`", first[0].upper() + first[1:], " ".join(fields)))
+    return markdown_table(("rule", "theta after a suggestion", "numbers"), rows)
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ from ..declare.declared import DeclarationError, plain, spelt
 from ..people.arguments import number
 from ..people.decision import Floats
 from ..people.ranges import Population, Range
-from ..people.trust_rules import Shipped, rule_of
+from ..people.trust_rules import TrustRule, rule_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,7 +205,7 @@ def mixture(record: dict[str, Any]) -> Population:
         raise ValueError(f"expected a population as `kitassist fit --write-population` writes it ({what})") from None
 
 
-def trust_of(record: dict[str, Any]) -> Shipped | None:
+def trust_of(record: dict[str, Any]) -> TrustRule | None:
     """Return the trust rule of a `PopulationFit.as_dict`; None if none was fitted.
 
     Raises

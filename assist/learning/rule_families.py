@@ -8,16 +8,13 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
-from ..people.neighbours import LARGEST_STEP, SEEN_RULES, WithSeen, parts_of
-from ..people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
+from ..people.neighbours import SEEN_RULES, WithSeen, parts_of
+from ..people.trust_rules import RULES, TrustRule, constant, fields_of, fitted_of
 from .intervals import Interval
 from .likelihood import Method
 
-STEP_SIZES = (0.1, 0.4)
-"""Steps of logit(theta) that are tried for gain and for loss, in log-odds."""
-
-RATES = (0.02, 0.05, 0.1, 0.2, 0.4)
-"""Values of eta that are tried."""
+KNOWN = ("eta", "utility_scale")
+"""Parameters of rules that a `Method` may know."""
 
 
 @dataclass(frozen=True)
@@ -60,26 +57,20 @@ class RuleFamily:
 
 
 def families(method: Method) -> dict[str, RuleFamily]:
-    """Return the shipped rules by name; eta is the method's if it is known."""
-    paper = partial(EquationSeven, utility_scale=method.utility_scale)
-    steps, pairs = {"gain": (0.0, LARGEST_STEP), "loss": (0.0, LARGEST_STEP)}, tuple(product(STEP_SIZES, STEP_SIZES))
-    return {
-        "constant": RuleFamily.of(constant()),
-        "paper": RuleFamily(paper, {"eta": (0.0, 1.0)}, tuple((rate,) for rate in RATES))
-        if method.eta is None
-        else RuleFamily.of(paper(eta=method.eta)),
-        "outcome": RuleFamily(outcome, steps, pairs),
-        "outcome-at-disagreement": RuleFamily(
-            outcome_at_disagreement, {"agreement": (-1.0, 1.0), **steps},
-            tuple((agreement, *pair) for agreement in (0.0, 0.1) for pair in pairs),
-        ),
-        "reliability": RuleFamily(
-            Reliability, {"weight": (math.log(0.5), math.log(200.0)), "forgetting": (0.0, 0.9)},
-            tuple(product((1.0, 2.3, 3.7), (0.05, 0.3))),  # weights of 3, 10 and 40
-            # A weight is known up to a factor: its own likelihood has a long tail, that of its logarithm hardly any.
-            frozenset({"weight"}),
-        ),
-    }  # fmt: skip
+    """Return the shipped rules by name, without what the method knows of their parameters."""
+    found = {}
+    for name, make in RULES.items():
+        known = {one: getattr(method, one) for one in KNOWN if one in fields_of(name)}
+        known = {one: value for one, value in known.items() if value is not None}
+        fitted = {one: mark for one, mark in fitted_of(name).items() if one not in known}
+        scale = {one: math.log if mark.logarithm else float for one, mark in fitted.items()}
+        found[name] = RuleFamily(
+            partial(make, **known),
+            {one: (scale[one](mark.low), scale[one](mark.high)) for one, mark in fitted.items()},
+            tuple(product(*(map(scale[one], mark.tried) for one, mark in fitted.items()))),
+            frozenset(one for one, mark in fitted.items() if mark.logarithm),
+        )
+    return found
 
 
 def parameters_of(rule: TrustRule) -> dict[str, float]:

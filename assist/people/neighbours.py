@@ -29,16 +29,13 @@ from pydantic import BeforeValidator, Field, PlainValidator
 from planner.system.errors import expected
 
 from ..declare.declared import MOST, DeclarationError, Expected, Number, Truth, declared
-from .trust_rules import LEAST, Event, Feedback, TrustRule, counts_of
+from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, TrustRule, counts_of
 
 if TYPE_CHECKING:
     from .decision import Bools, Floats
 
 Range = tuple[float, float]
 Tried = tuple[tuple[float, ...], ...]
-
-LARGEST_STEP = 3.0
-"""Largest step that is estimated, in log-odds: from theta = .18 to .82 at once."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,9 @@ moves on the logit scale by the outcome of the advice (`outcome`, `outcome_at_di
 `LogitSteps`. With `Reliability` theta is the mean of a beta distribution that counts outcomes. A rule of one's own is
 any frozen object with the attributes and the method of `TrustRule`.
 
+A rule is shipped by its name once it is in `RULES`. All else follows from its class: its description is the first
+sentence of its docstring, and a field with the mark `Fitted` is estimated from logs.
+
 A rule is a deterministic map of theta and an `Event`. The robot's problem of one person evaluates it at its grid of
 theta, and a simulation at the people's own values, so that there is one definition of each rule. Only equation (7), the
 default, is written a second time, in `person.dynamics`, for speed; tests compare the two. Where a rule has an
@@ -14,15 +17,28 @@ attribute `counts`, the number of outcomes that a person has seen is part of the
 
 from __future__ import annotations
 
+import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field
 
 from planner.system.errors import expected
 
-from ..declare.declared import MOST, DeclarationError, Number, Truth, Whole, declared, plain
+from ..declare.declared import (
+    MOST,
+    DeclarationError,
+    Number,
+    Truth,
+    Whole,
+    annotation_of,
+    declared,
+    is_declared,
+    marks,
+    plain,
+)
 
 if TYPE_CHECKING:
     from .decision import Bools, Floats
@@ -35,6 +51,33 @@ LEAST = 0.01
 
 At .01 a suggestion divides the odds of an action by 99. Fits to two public data sets of advice use the same limits.
 """
+
+LARGEST_STEP = 3.0
+"""Largest step that is estimated, in log-odds: from theta = .18 to .82 at once."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Marks a field of a rule that is estimated from logs.
+
+    Attributes
+    ----------
+    low, high : float
+        The range of estimates.
+    tried : tuple of float
+        Values from which the best one is refined, with each combination of those of the other fields.
+    logarithm : bool
+        Whether the logarithm is estimated: the likelihood of some parameters has a long tail, and that of their
+        logarithm hardly any.
+    """
+
+    low: float
+    high: float
+    tried: tuple[float, ...]
+    logarithm: bool = False
+
+
+STEP = Fitted(0.0, LARGEST_STEP, (0.1, 0.4))
 
 
 @dataclass(frozen=True)
@@ -93,9 +136,11 @@ class TrustRule(Protocol):
 class EquationSeven:
     """Equation (7) of the paper: theta' = clip(theta + eta (V(x_r) - V(x)) / utility_scale, 0, 1)."""
 
-    eta: Annotated[Number, Field(ge=0, le=MOST, description="Rate of the trust update; 0.2 in the paper's study.")] = (
-        0.2
-    )
+    eta: Annotated[
+        Number,
+        Fitted(0.0, 1.0, (0.02, 0.05, 0.1, 0.2, 0.4)),
+        Field(ge=0, le=MOST, description="Rate of the trust update; 0.2 in the paper's study."),
+    ] = 0.2
     utility_scale: Annotated[Number, Field(ge=1 / MOST, le=MOST, description="Unit of V, in cost units.")] = 1.0
     feedback: Annotated[Literal["never"], Field(description="The outcome does not matter.")] = "never"
     uses_answer: ClassVar[bool] = False
@@ -114,6 +159,7 @@ class LogitSteps:
 
     agreement: Annotated[
         Number,
+        Fitted(-1.0, 1.0, (0.0, 0.1)),
         Field(
             ge=-MOST,
             le=MOST,
@@ -122,6 +168,7 @@ class LogitSteps:
     ] = 0.0
     gain: Annotated[
         Number,
+        STEP,
         Field(
             ge=0,
             le=MOST,
@@ -130,6 +177,7 @@ class LogitSteps:
     ] = 0.0
     loss: Annotated[
         Number,
+        STEP,
         Field(
             ge=0,
             le=MOST,
@@ -177,10 +225,13 @@ class Reliability:
 
     weight: Annotated[
         Number,
+        Fitted(0.5, 200.0, tuple(map(math.exp, (1.0, 2.3, 3.7))), logarithm=True),  # about 3, 10 and 40
         Field(gt=0, le=MOST, description="Value of n at first: how many outcomes the initial theta is worth."),
     ] = 20.0
     forgetting: Annotated[
-        Number, Field(ge=0, lt=1, description="Share of the counts that is forgotten at each outcome.")
+        Number,
+        Fitted(0.0, 0.9, (0.05, 0.3)),
+        Field(ge=0, lt=1, description="Share of the counts that is forgotten at each outcome."),
     ] = 0.05
     counts: Annotated[
         Whole,
@@ -256,16 +307,31 @@ def outcome_at_disagreement(
     return LogitSteps(agreement, gain, loss, feedback=feedback)
 
 
-Shipped: TypeAlias = EquationSeven | LogitSteps | Reliability
+def _by_name(*makers: Callable[..., TrustRule]) -> dict[str, Callable[..., TrustRule]]:
+    """Return classes by their tags, and functions by their own names."""
+    named: Any = makers
+    return {getattr(one, "tag", {"rule": one.__name__.replace("_", "-")})["rule"]: one for one in named}
 
-RULES: dict[str, Callable[..., Shipped]] = {
-    "paper": EquationSeven,
-    "constant": constant,
-    "outcome": outcome,
-    "outcome-at-disagreement": outcome_at_disagreement,
-    "reliability": Reliability,
-}
-"""Functions that make the shipped rules, by name."""
+
+RULES = _by_name(EquationSeven, constant, outcome, outcome_at_disagreement, Reliability)
+"""Classes of the shipped rules, or functions that make them, by name."""
+
+
+def described(name: str) -> str:
+    """Return the sentence that describes a shipped rule."""
+    return str(RULES[name].__doc__).split("\n", 1)[0].removeprefix("Return the rule of ").rstrip(".")
+
+
+def fields_of(name: str) -> dict[str, Any]:
+    """Return the annotations of the fields that a shipped rule is made with."""
+    make = RULES[name]
+    return {field: annotation_of(type(make()), field) for field in inspect.signature(make).parameters}
+
+
+def fitted_of(name: str) -> dict[str, Fitted]:
+    """Return the marks of those fields of a shipped rule that are estimated from logs."""
+    found = ((field, one) for field, kind in fields_of(name).items() for one in marks(kind) if isinstance(one, Fitted))
+    return dict(found)
 
 
 def plain_rule(rule: TrustRule) -> dict[str, Any]:
@@ -276,13 +342,13 @@ def plain_rule(rule: TrustRule) -> dict[str, Any]:
     ValueError
         The rule is the user's own.
     """
-    if not isinstance(rule, Shipped):
-        raise ValueError(f"trust {rule!r}: a rule that is not saved; expected one of those shipped")  # noqa: TRY004
+    if not is_declared(type(rule)) or getattr(rule, "tag", {}).get("rule") not in RULES:
+        raise ValueError(f"trust {rule!r}: a rule that is not saved; expected one of those shipped")
     found: dict[str, Any] = plain(rule)
     return found
 
 
-def rule_of(given: Mapping[str, Any]) -> Shipped:
+def rule_of(given: Mapping[str, Any]) -> TrustRule:
     """Return the rule of a table, whose field `rule` is its name; fields that it lacks are the rule's own.
 
     Raises
@@ -295,7 +361,9 @@ def rule_of(given: Mapping[str, Any]) -> Shipped:
         said = "is missing" if name is None else f"'{name}'"
         right = expected(str(name), RULES) if name else f"expected one of {', '.join(RULES)}"
         raise DeclarationError(("rule",), None, f"{said}; {right}", f"rule {said}; {right}")
-    return replace(RULES[name](), **numbers)
+    made: Any = RULES[name]()
+    found: TrustRule = replace(made, **numbers)
+    return found
 
 
 def rule_given(rule: Any) -> str | TrustRule | None:

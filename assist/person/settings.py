@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
 from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of, names_of, whole_number
 from ..people.neighbours import Watched, WithSeen, moves_theta, seen_rule_of
-from ..people.trust_rules import TrustRule, rule_given, trust_rule
+from ..people.trust_rules import RULES, TrustRule, rule_given, trust_rule
 from .observation_model import ObservationModel
 from .robots import OfRobots, Robot, Suggestions
 
@@ -71,8 +71,8 @@ class Setting(OfRobots):
         Usual("RULE"),
         Expected('the name of a trust rule, or a table such as {rule = "outcome", gain = 0.1}'),
         Field(
-            description="How influence (theta) moves: a table, or the name paper (equation 7), constant, outcome, "
-            "outcome-at-disagreement or reliability; unless given, paper for simulated people, constant for real ones."
+            description=f"How influence (theta) moves: a table, or one of the names {', '.join(RULES)}; unless given, "
+            "paper (equation 7) for simulated people, constant for real ones."
         ),
     ] = None
     believed_trust: Annotated[

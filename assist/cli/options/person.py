@@ -18,9 +18,6 @@ from .population import chosen_setting
 from .settings import PersonSetting
 from .task import one_instance
 
-TRUST = ("paper", "constant", "outcome", "outcome-at-disagreement", "reliability")
-"""Names of `assist.people.trust_rules.RULES`, without loading numpy."""
-
 OF_TEAMS = ("c_move", "travel_time", "robots", "knowledge", "max_steps", "observation", "c_ask", "ask_error")
 """Fields of a setting that the problem of one person does not have."""
 

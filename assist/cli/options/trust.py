@@ -11,9 +11,9 @@ from planner.system.errors import InputFileError
 
 from ...declare.declared import names_of
 from ...declare.options import Given
+from ...people.trust_rules import RULES
 from ..terminal.console import ExitCode, fail
 from .common import INPUT_FILE, is_given, together
-from .person import TRUST
 from .settings import EstimateSetting
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class AdviceOptions(NamedTuple):
 
 
 influence_option = click.option(
-    "--influence", "trust", type=click.Choice(TRUST),
+    "--influence", "trust", type=click.Choice(list(RULES)),
     help="Trust rule by which influence (theta) moves, carried from episode to episode (hierarchical model).",
 )  # fmt: skip
 

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pytest
 from conftest import KITTING, costly, invoke, kit
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import Field
 
 from assist.certify.team_bound import upper_bound
-from assist.cli.options.person import TRUST
 from assist.connect.observed import Observed
-from assist.declare.declared import plain
+from assist.declare.declared import Number, declared, plain, sentences
+from assist.learning.method import Method
+from assist.learning.rule_families import families
 from assist.live.assistant import Assistant
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.decision import NOTHING
+from assist.people.decision import NOTHING, Floats
 from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.people.real_people import advice_takers
@@ -31,12 +33,15 @@ from assist.people.trust_rules import (
     RULES,
     EquationSeven,
     Event,
+    Fitted,
     LogitSteps,
     Reliability,
     TrustRule,
     constant,
+    described,
     outcome,
     outcome_at_disagreement,
+    plain_rule,
     rule_of,
 )
 from assist.person.belief_filter import update
@@ -66,8 +71,41 @@ def event(
     return Event(*(np.asarray(each) for each in (gain, agrees, followed, shown, right)))
 
 
-def test_names_are_those_of_the_command_line() -> None:
-    assert tuple(RULES) == TRUST
+@declared
+class Sluggish:
+    """A rule by which theta moves by a share of the way."""
+
+    share: Annotated[
+        Number, Fitted(0.01, 1.0, (0.1, 0.3), logarithm=True), Field(gt=0, le=1, description="A share.")
+    ] = 0.2
+    feedback: Literal["never"] = "never"
+    uses_answer: ClassVar[bool] = False
+    tag: ClassVar[Mapping[str, str]] = {"rule": "sluggish"}
+
+    def update(self, theta: Floats, event: Event) -> Floats:
+        return theta + self.share * (np.where(event.gain > 0, 1.0, 0.0) - theta)
+
+
+def test_all_that_a_shipped_rule_needs_is_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(RULES, "sluggish", Sluggish)
+    assert Setting(trust="sluggish").trust_rule() == Sluggish()
+    setting = Setting(trust={"rule": "sluggish", "share": 0.4})  # type: ignore[arg-type]
+    assert setting.trust == Sluggish(0.4)
+    assert Setting(**plain(setting)) == setting
+    assert rule_of(plain_rule(Sluggish(0.3))) == Sluggish(0.3)
+    assert described("sluggish") == "A rule by which theta moves by a share of the way"
+    family = families(Method())["sluggish"]
+    assert family.tried == ((np.log(0.1),), (np.log(0.3),))
+    assert family.rule((np.log(0.5),)) == Sluggish(0.5)
+    assert family.ranges == {"share": (np.log(0.01), 0.0)}
+
+
+def test_every_shipped_rule_is_described_and_can_be_tried() -> None:
+    assert set(families(Method())) == set(RULES)
+    assert all(described(name) for name in RULES)
+    assert all(name in sentences(Setting)["trust"] for name in RULES)
+    known = families(Method(eta=0.3, utility_scale=2.0))["paper"]
+    assert (known.ranges, known.rule(())) == ({}, EquationSeven(0.3, 2.0))
 
 
 @given(st.floats(0, 1), st.floats(-50, 50), st.booleans(), st.booleans(), st.booleans())
@@ -308,7 +346,7 @@ def test_commands_take_a_rule() -> None:
     assert found[0]["policies"] != found[1]["policies"]
     values = [
         json.loads(invoke("policy", KITTING / "tiny.pddl", "--trust", rule, "--gap", 1, "--json").stdout)
-        for rule in TRUST[:2]
+        for rule in list(RULES)[:2]
     ]
     assert values[0]["value_always"] != values[1]["value_always"]
     refused = invoke("policy", KITTING / "tiny.pddl", "--trust", "blind")
