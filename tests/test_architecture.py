@@ -68,7 +68,7 @@ ROOMS = {
         trade_off study userstudy""",
     "assist.live": """causes continuations contrast explanation names live_setting live_task advice roster
         uncertain_actions beliefs seen_suggestions live_questions decision_point robot_places decisions
-        knowledge desk views event_base events reports record assistant store people_store header history team
+        knowledge desk lines views event_base events reports record assistant store people_store header history team
         session simulated_person trace_reasons""",
     "assist.studies": """statistics repeated_measures study plan_tables protocol tasks own_code_trials cells runner
         own_code""",

@@ -23,6 +23,7 @@ from pydantic import (
 
 from ..declare.declared import DeclarationError, Expected, Whole
 from ..declare.refusals import Refusal
+from .lines import Line
 from .names import name_of
 
 if TYPE_CHECKING:
@@ -81,6 +82,8 @@ class Event(Recorded):
     """Whether a person's work on a task ends, so that what was learned of them is kept."""
     is_action: ClassVar[bool] = False
     """Whether it is what a person did in their task."""
+    line: ClassVar[Line | None] = None
+    """What pages show while `undo` takes it back, with a button for it; {value} is how many there are in the task."""
 
     @model_serializer(mode="wrap")
     def _given(self, given: SerializerFunctionWrapHandler) -> dict[str, Any]:

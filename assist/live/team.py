@@ -11,6 +11,7 @@ without computing a decision again.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -220,6 +221,7 @@ class Team(History[TeamRecord]):
             "steps": known.steps, "finished": known.finished, "explained": True, "seq": entry.seq,
             "state_probability": known.states.get(known.state), "question": known.question,
             "answered": None if known.answered is None else GoalAnswer(*known.answered),
+            "done": Counter(one.kind for one in entry.done if one.line is not None),
         }  # fmt: skip
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:

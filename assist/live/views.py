@@ -3,40 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from dataclasses import field
+from typing import Annotated, Any
 
 from pydantic import Field, SkipValidation
 
 from ..declare.declared import AnyNumber, AnyText, Seldom, Truth, View, Whole, declared
 from .advice import Question, Reason
+from .lines import Line
 
 Rows = Annotated[Sequence[Sequence[float | None]], SkipValidation()]
 """Rows of numbers, as arrays give them."""
 Interval = tuple[AnyNumber, AnyNumber, AnyNumber]
-
-
-@dataclass(frozen=True)
-class Line:
-    """Marks a field of a view that pages show as a line of text, as long as it is there, and not empty, zero or false.
-
-    Attributes
-    ----------
-    person : str, optional
-        Key of the text on the person's page, in which {value} stands for the value.
-    operator : str, optional
-        The text on the operator's page.
-    """
-
-    person: str | None = None
-    operator: str | None = None
-
-
-def lines_of(kind: type[View], page: Literal["person", "operator"]) -> dict[str, str]:
-    """Return the text, or its key, of each field of a view that a page shows as a line."""
-    fields: Any = kind
-    marked = {name: one for name, field in fields.__pydantic_fields__.items() for one in field.metadata}
-    return {name: getattr(one, page) for name, one in marked.items() if isinstance(one, Line) and getattr(one, page)}
 
 
 @declared
@@ -84,6 +62,10 @@ class PersonView(View):
         Seldom(),
         Field(description="Only if there is one: the last answer about the goal of the task."),
     ] = None
+    done: Annotated[
+        dict[str, Whole], Seldom(),
+        Field(description="Only if there are any: how many events that pages show `undo` takes back, by their kind."),
+    ] = field(default_factory=dict)  # fmt: skip
 
 
 @declared(kw_only=True)

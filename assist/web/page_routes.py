@@ -15,7 +15,10 @@ from fastapi.responses import FileResponse, HTMLResponse
 from ..declare.catalogue import Catalogue, catalogue
 from ..declare.refusals import AbsentError
 from ..drawing import svg
-from ..live.views import MemberView, PersonView, lines_of
+from ..live.event_base import OfPerson
+from ..live.events import kinds
+from ..live.lines import line_of
+from ..live.views import MemberView
 
 PAGES = Path(__file__).parent / "pages"
 SECTIONS = ("page", "task", "study", "question")
@@ -41,8 +44,14 @@ def document(request: Request, content: str, status: int = 200, texts: Catalogue
 def _worded(content: str, texts: Catalogue) -> str:
     content = re.sub(r"\{(\w+\.\w+)\}", lambda found: html.escape(texts.texts[found[1]]), content)
     own = {f"{name}.{key}": text for name in SECTIONS for key, text in texts.section(name).items()}
-    keys = lines_of(PersonView, "person").items()
-    lines = {"person": {name: texts.texts[key] for name, key in keys}, "operator": lines_of(MemberView, "operator")}
+    fields = {name: line_of(one) for name, one in MemberView.__pydantic_fields__.items()}  # type: ignore[attr-defined]
+    events = {name: one.line for name, one in kinds(OfPerson).items() if one.line is not None}
+    lines = {
+        "person": [
+            {name: texts.texts[one.person] for name, one in part.items() if one.person} for part in (fields, events)
+        ],
+        "operator": [{name: one.operator for name, one in part.items() if one.operator} for part in (fields, events)],
+    }
     for name, written in (("texts", own), ("lines", lines)):
         content = content.replace(f"{{{name}}}", json.dumps(written).replace("<", "\\u003c"))
     return content.replace("{language}", texts.tag)

@@ -54,8 +54,8 @@ export function leave() {
 }
 
 /** Open a page at a path of the service; `fetch` answers its requests. Returns the page's modules and what it stores. */
-export async function open(path, { fetch = () => new Response("{}"), language = "en", stored = new Storage() } = {}) {
-  const elements = { texts: { textContent: JSON.stringify(TEXTS) }, lines: { textContent: "{}" } };
+export async function open(path, { fetch = () => new Response("{}"), language = "en", stored = new Storage(), lines = {} } = {}) {
+  const elements = { texts: { textContent: JSON.stringify(TEXTS) }, lines: { textContent: JSON.stringify(lines) } };
   const url = new URL(`.${path}`, `${pathToFileURL(folder)}/`);
   const asked = [];
   const listeners = {};

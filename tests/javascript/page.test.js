@@ -41,3 +41,12 @@ test("the second click of a double click does nothing, and a key does what a cli
   click({ detail: 0 }); // a key
   assert.equal(clicks, 2);
 });
+
+test("a page has a line for each field and each kind of event that has a value, with a button that takes the event back", async () => {
+  const { lines } = await open("/join/ann", { lines: { person: [{ paused: "Paused." }, { rested: "Breaks: {value}." }] } });
+  document.createElement = (name) => ({ name, parts: [], setAttribute() {}, append(...more) { this.parts.push(...more); } });
+  const shown = (view) => lines("person", view, (kind) => kind).map(({ parts }) => parts.join(""));
+  assert.deepEqual(shown({ paused: false }), []);
+  assert.deepEqual(shown({ paused: true, done: {} }), ["Paused."]);
+  assert.deepEqual(shown({ paused: false, done: { rested: 2 } }), ["Breaks: 2. rested"]);
+});

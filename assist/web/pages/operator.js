@@ -135,7 +135,10 @@ function card(person) {
       here >= 0 ? element("span", { class: "badge here" }, robots.length > 1 ? `robot ${here + 1} here` : "robot here") : null,
       element("span", { class: `badge${person.finished ? " ended" : ""}` }, state)),
     element("p", {}, `${team.tasks.length > 1 ? `${person.task}: ` : ""}${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${remaining(person)}`),
-    ...lines("operator", person),
+    ...lines("operator", person, (of) => element("button", {
+      type: "button", "data-key": `${of} ${person.person}`, "aria-label": `Take back what ${person.person} did last: ${of}`,
+      click: () => tell(pathOf(person.person, "/undo"), { method: "POST", body: { of, id: newId() } }, `What ${person.person} did is taken back.`),
+    }, "Take back")),
     person.question ? questionTo(person, person.question) : null,
     person.answered ? answerOf(person, person.answered) : null,
     figureOf(progressOf(person), "Remaining cost over time"),

@@ -30,9 +30,17 @@ function said(value) {
   return Object.entries(value).map(([name, weight]) => weight < 1 ? `${name} (${weight.toFixed(2)})` : name).join(", ");
 }
 
-/** The lines of a view that a page shows: each field that is there, and what it says. @type {(page: string, view: any) => HTMLElement[]} */
-export const lines = (page, view) => Object.entries(LINES[page]).filter(([field]) => view[field]).map(([field, words]) =>
-  element("p", { "data-line": field }, words.replace("{value}", () => said(view[field]))));
+/**
+ * The lines of a view that a page shows: what each field says that is there, and how many events were reported that
+ * can be taken back. `undo` returns a button for the last event of a kind.
+ * @type {(page: string, view: any, undo: (kind: string) => HTMLElement) => HTMLElement[]}
+ */
+export function lines(page, view, undo) {
+  const [fields, events] = LINES[page].map((part, of) => Object.entries(part).map(([name, words]) => [name, words, of ? view.done?.[name] : view[name]])
+    .filter(([, , value]) => value));
+  const line = ([name, words, value], ...more) => element("p", { "data-line": name }, words.replace("{value}", () => said(value)), ...more);
+  return [...fields.map((one) => line(one)), ...events.map((one) => line(one, " ", undo(one[0])))];
+}
 
 /** A number as it is written in the page's language, with so many digits after the decimal sign, or as many as it has. */
 export const figure = (value, digits = -1) => value.toLocaleString(language, {

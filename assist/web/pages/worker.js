@@ -87,7 +87,7 @@ function showStudy(study) {
   }
   at("person").textContent = text(study.kind === "practice" ? "task.practice" : "task.title");
   document.title = at("person").textContent;
-  at("undo").hidden = at("again").hidden = true;
+  for (const button of [at("again"), ...all("button[data-event]")]) button.hidden = true;
   first("a", at("leave")).href = pageOf("part", "?leave");
   at("onward").hidden = at("leave").hidden = false;
   at("onward").disabled = outbox.busy;
@@ -98,7 +98,9 @@ function showAdvice() {
   at("advice").hidden = view.finished && !view.question;
   at("advice").classList.toggle("open", suggestion !== null || Boolean(view.question));
   at("offer").hidden = suggestion === null;
-  fill(at("lines-shown"), lines("person", view));
+  fill(at("lines-shown"), lines("person", view, (of) => element("button", {
+    type: "button", disabled: outbox.busy, click: single(() => tell("undo", { of })),
+  }, text("task.retract"))));
   at("advice-title").textContent = text(view.question ? "task.asks" : "task.suggests");
   at("nothing").hidden = view.paused || suggestion !== null || Boolean(view.question);
   showQuestion(view.question);
@@ -140,9 +142,14 @@ function showAnswer(answered) {
   at("told-text").textContent = answered ? text(answered.yes ? "task.told_yes" : "task.told_no", { goal: answered.goal }) : "";
 }
 
-function reply(answer) {
+/** Report an event of this person, by the end of its path and its fields. */
+function tell(event, fields) {
   complain(null);
-  if (outbox.send(pathOf(person, "/answer"), { answer, seq: view.seq })) show();
+  if (outbox.send(pathOf(person, `/${event}`), fields)) show();
+}
+
+function reply(answer) {
+  tell("answer", { answer, seq: view.seq });
   at("choices-title").focus({ preventScroll: true });
 }
 
@@ -431,8 +438,7 @@ at("against").addEventListener("change", compare);
 /** A button may report an event: its path is `data-event`, its fields are `data-fields`, and `data-then` gets the focus. */
 for (const button of all("button[data-event]")) {
   button.addEventListener("click", single(() => {
-    complain(null);
-    if (outbox.send(pathOf(person, `/${button.dataset.event}`), JSON.parse(button.dataset.fields ?? "{}"))) show();
+    tell(button.dataset.event, JSON.parse(button.dataset.fields ?? "{}"));
     if (button.dataset.then) at(button.dataset.then).focus({ preventScroll: true });
   }));
 }

@@ -10,7 +10,7 @@ import tracemalloc
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
@@ -22,8 +22,9 @@ from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, happen
 from assist.declare import AbsentError, InapplicableError, Refusal
 from assist.live.assistant import Assistant
 from assist.live.desk import Desk
-from assist.live.event_base import Event, TeamEvent
+from assist.live.event_base import Event, OfPerson, TeamEvent
 from assist.live.events import Acted, Began, Joined, kinds
+from assist.live.lines import Line
 from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
 from assist.live.store import JournalError, stored
@@ -129,6 +130,29 @@ def test_the_same_id_is_answered_as_the_first_and_happens_once(opened: Callable[
     assert len(session.log()) == 3
     with pytest.raises(InapplicableError, match="the id '1' belongs to another event"):
         session.undo("ann", id="1")
+
+
+def test_a_view_counts_the_events_of_a_kind_with_a_line_until_they_are_taken_back(
+    opened: Callable[..., Session],
+) -> None:
+    class Rested(OfPerson):
+        kind: Literal["rested"] = "rested"
+        reversible: ClassVar[bool] = True
+        line: ClassVar[Line | None] = Line(operator="Breaks: {value}")
+
+        def change(self, desk: Any, time: float) -> None: ...
+        def take_back(self, desk: Any) -> None: ...
+
+    session = opened()
+    session.join("ann")
+    session.observe("ann", "(fetch box-a)")
+    assert "done" not in session.person("ann"), "actions have a number of their own"
+    session.report(Rested(person="ann"))
+    assert session.report(Rested(person="ann"))["done"] == {"rested": 2}
+    session.undo("ann", of="rested")
+    assert session.entry("ann")["done"] == {"rested": 1}
+    session.begin("ann")
+    assert "done" not in session.person("ann"), "they belong to a task"
 
 
 def test_old_answers_and_old_tasks_are_those_of_before(opened: Callable[..., Session]) -> None:
