@@ -72,8 +72,8 @@ ROOMS = {
         session simulated_person trace_reasons""",
     "assist.studies": """statistics repeated_measures study plan_tables protocol tasks own_code_trials cells runner
         own_code""",
-    "assist.studies.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes views
-        participant_team roll teams events record cohort session csv_tables tables export
+    "assist.studies.userstudy": """forms questionnaires questionnaire_file assignment outcomes plan plan_file codes
+        views participant_team roll teams events record cohort session csv_tables tables export
         forecast""",
     "assist.studies.reports": """watched_episode compared_policies policy_comparison wording
         report_files study_summary study_claims study_figures study_report userstudy_data

@@ -27,8 +27,8 @@ from ..statistics import (
     sign_test,
     signed_rank,
 )
+from ..userstudy.forms import FORMS
 from ..userstudy.outcomes import COMPLETION, COUNTED, Row
-from ..userstudy.questionnaires import GRID, LIKERT
 from .userstudy_data import Ends, Measure, StudyData, Values
 
 NUMBERS = ("mean", "low", "high", "sd", "median", "min", "max")
@@ -155,7 +155,7 @@ def worst_ranks(data: StudyData) -> Iterator[Row]:
 def likert(data: StudyData) -> Iterator[Row]:
     """Yield comparisons of the single items of Likert scales by ranks, as their answers are ordinal."""
     for one in data.study.questionnaires:
-        if one.form in (LIKERT, GRID) and data.study.is_by_condition(one):
+        if FORMS[one.form].is_ordinal and data.study.is_by_condition(one):
             rows = data.scored(one)
             for item in one.scale:
                 given = ((who, condition, scores.get(item.name)) for who, condition, scores in rows)

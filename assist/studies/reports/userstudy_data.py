@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from statistics import fmean
 
+from ..userstudy.forms import FORMS
 from ..userstudy.outcomes import COMPLETION, COUNTED, Row
 from ..userstudy.plan import UserStudy
-from ..userstudy.questionnaires import TLX, Questionnaire
+from ..userstudy.questionnaires import Questionnaire
 from ..userstudy.tables import Tables
 
 ALL = "all participants"
@@ -150,6 +151,6 @@ class StudyData:
             if one.scale and self.study.is_by_condition(one):
                 means = [(who, condition, one.mean(scores)) for who, condition, scores in self.scored(one)]
                 low, high, _ = one.scale[0].ends
-                kind = "raw_mean" if one.form == TLX else "mean"
-                label = self.study.catalogue.phrase(f"report.{kind}", name=one.name, low=f"{low:g}", high=f"{high:g}")
+                key = f"report.{FORMS[one.form].mean}"
+                label = self.study.catalogue.phrase(key, name=one.name, low=f"{low:g}", high=f"{high:g}")
                 yield Measure(one.name, label, self.by_condition(means), (low, high))

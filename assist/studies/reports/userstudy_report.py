@@ -23,9 +23,10 @@ from ...person.settings import Setting
 from ..plan_tables import among
 from ..statistics import FEW
 from ..userstudy.csv_tables import rows
+from ..userstudy.forms import FORMS
 from ..userstudy.plan import UserStudy, UserStudyPlan
 from ..userstudy.plan_file import read
-from ..userstudy.questionnaires import TLX, Item
+from ..userstudy.questionnaires import Item
 from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Tables, tables
 from . import report_files
@@ -177,9 +178,8 @@ class ReportWording(Wording):
 
     def name(self, form: str, item: Item) -> str:
         """Return the label of an item in a figure."""
-        if form == TLX:
-            return item.name
-        return self.texts.phrase("report.reversed", item=short(item.text)) if item.reversed else short(item.text)
+        text = FORMS[form].label(short(item.text), item.name)
+        return self.texts.phrase("report.reversed", item=text) if item.reversed else text
 
     def where(self, condition: str) -> str:
         """Return the name of a condition, or what stands for all participants."""

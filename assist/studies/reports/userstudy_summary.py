@@ -13,7 +13,7 @@ from ...team.policy_names import hardly_assists
 from ..statistics import FEW, cronbach_alpha
 from ..userstudy.outcomes import Row
 from ..userstudy.plan import UserStudy
-from ..userstudy.questionnaires import BEFORE, CHOICE, CHOICES, TEXT, Item, Questionnaire
+from ..userstudy.questionnaires import BEFORE, Item, Questionnaire
 from ..userstudy.tables import Tables
 from .userstudy_comparisons import cells, compared, likert, smallest_shown, worst_ranks
 from .userstudy_data import ALL, StudyData
@@ -154,7 +154,7 @@ def _alpha(one: Questionnaire, rows: list[tuple[str, str, dict[str, float]]]) ->
 
 def _asked(data: StudyData, one: Questionnaire, item: Item) -> Iterator[Row]:
     """Yield the answers to a question that belongs to no scale, by condition if it is asked in each."""
-    if item.form == TEXT or (item in one.scale):
+    if not item.kind.is_counted or item in one.scale:
         return
     own = [row for row in data.tables.answers if (row["questionnaire"], row["item"]) == (one.name, item.name)]
     answered = [row for row in own if row["answer"] is not None]
@@ -173,8 +173,7 @@ def _answers(data: StudyData, one: Questionnaire, item: Item, where: list[str], 
     for name, cell in zip(where, of_scores, strict=True):
         given = [row for row in answered if name in (ALL, row["condition"])]
         counts = Counter(dict.fromkeys(item.options, 0))
-        counts.update(row["option"] for row in given if item.form == CHOICES and row["answer"] in (True, "true"))
-        counts.update(row["answer"] for row in given if item.form == CHOICE)
+        counts.update(item.kind.counted(given))
         yield {
             "questionnaire": one.name, "item": item.name, "form": item.form, "condition": name,
             "n": len({row["participant"] for row in given}), "counts": dict(counts),

@@ -5,9 +5,8 @@ Keys of a questionnaire are the defaults of its items. An item may have another 
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,30 +17,13 @@ from ...declare.catalogue import Catalogue
 from ...declare.declared import shown
 from ...declare.tables import convert, fault
 from ..plan_tables import different
-from .questionnaires import (
-    BEFORE,
-    CHOICE,
-    CHOICES,
-    END,
-    GRID,
-    LIKERT,
-    NUMBER,
-    SLIDER,
-    TEXT,
-    TLX,
-    Item,
-    Questionnaire,
-    forms,
-)
+from .forms import FORMS, Workload
+from .questionnaires import BEFORE, END, Item, Questionnaire, forms
 
 NAME = re.compile(r"[A-Za-z][\w-]{0,40}")
-SCALE, LIMITS = {"low", "high"}, {"min", "max", "step"}
-KEYS = {
-    LIKERT: {"points", "labels", *SCALE}, GRID: {"points", "labels", *SCALE}, SLIDER: SCALE | LIMITS, NUMBER: LIMITS,
-    CHOICE: {"options"}, CHOICES: {"options"}, TEXT: set[str](), TLX: set[str](),
-}  # fmt: skip
-"""Keys of the forms of items, in addition to those of all forms."""
-DEFAULTS = {"required"}.union(*KEYS.values())
+ENDS = ("low", "high")
+"""Labels of the ends, which points of agreement have unless others are given."""
+DEFAULTS = frozenset({"required"}).union(*(one.keys for one in FORMS.values()))
 """Keys of items that a questionnaire may have for all of its items."""
 
 Table = Mapping[str, Any]
@@ -84,8 +66,8 @@ def _questionnaire(file: Path, place: str, table: Table, texts: Catalogue) -> Qu
     own = {key: value for key, value in table.items() if key not in DEFAULTS}
     given = own.pop("items", None)
     found = convert(own, Questionnaire, file, place)
-    if found.form not in KEYS:
-        raise fault(file, f"{place}.form", f"'{found.form}'; {meant(found.form, KEYS)}")
+    if found.form not in FORMS:
+        raise fault(file, f"{place}.form", f"'{found.form}'; {meant(found.form, FORMS)}")
     base = forms(texts)[found.form]
     items = base.items
     if items and given is not None:
@@ -97,7 +79,7 @@ def _questionnaire(file: Path, place: str, table: Table, texts: Catalogue) -> Qu
         places = [f"{place}.items[{number}]" for number in range(1, len(given) + 1)]
         items = tuple(_item(file, *one, shared, found.form, texts) for one in zip(places, given, strict=True))
         used = {item.form for item in items}
-        _refuse_unused(file, place, shared, set().union(*(KEYS[form] for form in used)), ", ".join(sorted(used)))
+        _refuse_unused(file, place, shared, {key for form in used for key in FORMS[form].keys}, ", ".join(sorted(used)))
     found = replace(
         found, name=found.name or base.name, title=found.title or base.title, items=items,
         introduction=found.introduction or base.introduction,
@@ -114,43 +96,35 @@ def _questionnaire(file: Path, place: str, table: Table, texts: Catalogue) -> Qu
 def _item(file: Path, place: str, own: Table, shared: Table, usual: str, texts: Catalogue) -> Item:
     """Return an item of a questionnaire, whose form and other keys are usual and shared."""
     form = own.get("form", usual)
-    known = [one for one in KEYS if one != TLX]
+    known = [one for one in FORMS if one != Workload.name]
     if form not in known:
         raise fault(file, f"{place}.form", f"{form!r}; {meant(str(form), known)}")
-    _refuse_unused(file, place, own, KEYS[form], form)
-    words = {end: texts(f"form.{end}") for end in SCALE} if form in (LIKERT, GRID) else {}
-    usable = {key: value for key, value in shared.items() if key == "required" or key in KEYS[form]}
-    item = convert({"required": form != TEXT, **words, **usable, **own, "form": form}, Item, file, place)
+    kind = FORMS[form]
+    _refuse_unused(file, place, own, kind.keys, form)
+    words = {end: texts(f"form.{end}") for end in ENDS} if kind.is_ordinal else {}
+    usable = {key: value for key, value in shared.items() if key == "required" or key in kind.keys}
+    item = convert({"required": kind.required, **words, **usable, **own, "form": form}, Item, file, place)
     _check_item(file, place, item)
     return item
 
 
-def _refuse_unused(file: Path, place: str, table: Table, known: set[str], form: str) -> None:
+def _refuse_unused(file: Path, place: str, table: Table, known: Collection[str], form: str) -> None:
     """Refuse keys that have no meaning for a form."""
     for key in table:
-        if key in DEFAULTS - known - {"required"}:
+        if key in DEFAULTS - {"required"} and key not in known:
             raise fault(file, f"{place}.{key}", f"not a key of the form {form}; expected none")
 
 
 def _check_item(file: Path, place: str, item: Item) -> None:
     """Check the values of an item against each other."""
-    low, high, step = item.ends
-    for key, value, is_right, right in (
-        ("max", high, math.isfinite(high) and low < high, f"a number above min ({low:g})"),
-        ("step", step, 0 < step <= high - low, "a number above 0, and at most max - min"),
-    ):
-        if not is_right:
-            raise fault(file, f"{place}.{key}", f"{value:g}; expected {right}")
-    if item.labels and len(item.labels) != item.points:
-        message = f"{len(item.labels)} labels; expected one for each of {item.points} points"
-        raise fault(file, f"{place}.labels", message)
-    if item.form in (CHOICE, CHOICES) and (len(item.options) < 2 or len(set(item.options)) < len(item.options)):
-        raise fault(file, place, f"options: {shown(item.options)}; expected two or more different texts")
-    if item.reversed and item.form not in (LIKERT, GRID, SLIDER):
+    wrong = item.kind.fault(item)
+    if wrong is not None:
+        raise fault(file, f"{place}.{wrong[0]}", wrong[1])
+    if item.reversed and not item.kind.is_scale:
         raise fault(file, f"{place}.reversed", f"true; expected a likert item or a slider, not a {item.form}")
     if item.correct is not None:
         try:
-            if item.form in (CHOICES, TEXT):
+            if not item.kind.has_right_answer:
                 raise ValueError(f"no answer to a question of the form {item.form}")
             item.check(item.correct)
         except ValueError as error:

@@ -1,13 +1,7 @@
-"""Questionnaires: items, their forms, valid answers and scores.
-
-NASA-TLX consists of the six scales of Hart and Staveland, "Development of NASA-TLX" (1988), a work of the United States
-government in the public domain. Answers range from 0 to 100 in steps of 5 and are not weighted ("raw TLX").
-"""
+"""Questionnaires: items, valid answers and scores."""
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Annotated, Any, Literal
@@ -17,24 +11,13 @@ from pydantic import Field, Strict
 
 from ...declare.catalogue import Catalogue
 from ...declare.declared import Expected, Number, Text, Truth, Whole, declared
+from .forms import FORMS, Answer, Form, Likert, Workload
 
 STEP = 5
 """Step of the scales of NASA-TLX."""
 
-CHOICE, CHOICES, NUMBER, SLIDER, TEXT, LIKERT, GRID, TLX = (
-    "choice", "choices", "number", "slider", "text", "likert", "likert-grid", "nasa-tlx",
-)  # fmt: skip
-"""Forms of items: a choice or several, a number, a slider, words, points of agreement alone or in a grid, and a scale
-of NASA-TLX."""
-
 BEFORE, AFTER, END = "before", "after", "end"
 """When a questionnaire is shown: before practice, after the tasks of each condition, or once at the end."""
-
-NO_TEXT = re.compile(r"[\x00\ud800-\udfff]")
-"""Signs that files and other programs do not take as text: NUL, and halves of signs."""
-
-Answer = int | float | str | list[str] | None
-
 
 Points = Annotated[Whole, Field(ge=2, le=11), Expected("a whole number from 2 to 11")]
 Words = Annotated[str, Strict(), Expected("a text")]
@@ -48,7 +31,7 @@ class Item:
 
     name: Annotated[Text, Field(description="Name in results.")]
     text: Annotated[Text, Field(description="The question.")]
-    form: Annotated[Text, Field(description="The form of its answer; the questionnaire's unless given.")] = LIKERT
+    form: Annotated[Text, Field(description="The form of its answer; the questionnaire's unless given.")] = Likert.name
     required: Annotated[Truth, Field(description="Whether an answer is required; unless given, except in words.")] = (
         True
     )
@@ -69,72 +52,34 @@ class Item:
     ] = ()
 
     @property
+    def kind(self) -> Form:
+        """The form of its answer."""
+        return FORMS[self.form]
+
+    @property
     def ends(self) -> tuple[float, float, float]:
         """Smallest and largest number that can be answered, and the step between two numbers."""
-        if self.form in (LIKERT, GRID):
-            return 1, self.points, 1
-        return self.min, self.max, self.step
+        return self.kind.ends(self)
 
     @property
     def is_scored(self) -> bool:
         """Whether the answer is a number that is part of the results; attention checks are not."""
-        return self.form not in (CHOICE, CHOICES, TEXT) and self.correct is None
+        return self.kind.is_number and self.correct is None
 
-    def check(self, answer: Any, *, longest: int = 4000) -> Answer:
+    def check(self, answer: Any) -> Answer:
         """Return the answer. None, an empty text and an empty list mean that there is none.
-
-        Parameters
-        ----------
-        answer : object
-        longest : int
-            Number of characters of an answer in words, as in the page.
 
         Raises
         ------
         ValueError
             The answer is invalid, or there is none to a required question; the message says what is expected.
         """
-        if answer in (None, "", []) and not isinstance(answer, bool):
-            if self.required:
-                raise ValueError(f"expected {self._expected(longest)}")
-            return [] if self.form == CHOICES else "" if self.form == TEXT else None
-        if not self._is_valid(answer, longest):
-            raise ValueError(f"expected {self._expected(longest)}")
-        if self.form == CHOICES:
-            return [option for option in self.options if option in answer]
-        if self.form in (NUMBER, SLIDER) and float(answer).is_integer():
-            return int(answer)
-        found: Answer = answer
-        return found
-
-    def _is_valid(self, answer: Any, longest: int) -> bool:
-        if self.form == TEXT:
-            return isinstance(answer, str) and len(answer) <= longest and not NO_TEXT.search(answer)
-        if self.form == CHOICE:
-            return isinstance(answer, str) and answer in self.options
-        if self.form == CHOICES:
-            return (
-                isinstance(answer, list)
-                and all(isinstance(one, str) and one in self.options for one in answer)
-                and len(set(answer)) == len(answer)
-            )
-        low, high, step = self.ends
-        kinds = (int, float) if self.form in (NUMBER, SLIDER) else (int,)
-        if isinstance(answer, bool) or not isinstance(answer, kinds) or not low <= answer <= high:
-            return False
-        steps = (answer - low) / step
-        # Decimal steps such as 0.1 have no exact binary fraction.
-        return math.isclose(steps, round(steps), rel_tol=0.0, abs_tol=1e-6)
-
-    def _expected(self, longest: int) -> str:
-        if self.form == TEXT:
-            return f"a text of {'1 to' if self.required else 'at most'} {longest:,} characters"
-        if self.form in (CHOICE, CHOICES):
-            return f"{'one' if self.form == CHOICE else 'one or more'} of {', '.join(self.options)}"
-        low, high, step = self.ends
-        whole = all(float(one).is_integer() for one in (low, high, step))
-        steps = f" in steps of {step:g}" if step != 1 else ""
-        return f"a {'whole ' if whole else ''}number from {low:g} to {high:g}{steps}"
+        none = answer in (None, "", []) and not isinstance(answer, bool)
+        if none and not self.required:
+            return self.kind.empty
+        if none or not self.kind.is_valid(self, answer):
+            raise ValueError(f"expected {self.kind.expected(self)}")
+        return self.kind.kept(self, answer)
 
     def score(self, answer: Answer) -> float | None:
         """Return the score of an answer, recoded if the item is reversed; None if the answer is not a number."""
@@ -208,7 +153,7 @@ class Questionnaire:
 
         Items that are asked in some conditions only are left out, since means of different items cannot be compared.
         """
-        if self.form not in (LIKERT, GRID, SLIDER, TLX):
+        if not FORMS[self.form].is_scale:
             return ()
         own = tuple(item for item in self.items if item.form == self.form and item.is_scored and not item.conditions)
         return own if len({item.ends for item in own}) == 1 else ()
@@ -227,7 +172,7 @@ SCALES = {
 
 
 def forms(texts: Catalogue) -> dict[str, Questionnaire]:
-    """Return the available forms, with default texts in a language.
+    """Return a questionnaire of each form, with the usual texts in a language.
 
     Forms without items take them from the study's file.
 
@@ -235,18 +180,14 @@ def forms(texts: Catalogue) -> dict[str, Questionnaire]:
     ----------
     texts : Catalogue
     """
-
-    def form(name: str, title: str, introduction: str = "", items: tuple[Item, ...] = ()) -> Questionnaire:
-        key = f"form.{introduction}"
-        return Questionnaire(name, name, texts(f"form.{title}"), texts(key) if introduction else "", items)
-
     tlx = tuple(
-        Item(name, texts(f"tlx.{name}"), TLX, low=texts(f"tlx.{low}"), high=texts(f"tlx.{high}"), step=STEP)
+        Item(name, texts(f"tlx.{name}"), Workload.name, low=texts(f"tlx.{low}"), high=texts(f"tlx.{high}"), step=STEP)
         for name, (low, high) in SCALES.items()
     )
-    found = (
-        form(TLX, "workload", "workload_introduction", tlx), form(LIKERT, "view", "agreement"),
-        form(GRID, "view", "agreement"), form(SLIDER, "view", "mark"), form(CHOICE, "about"), form(CHOICES, "about"),
-        form(NUMBER, "about"), form(TEXT, "words", "words_introduction"),
-    )  # fmt: skip
-    return {one.name: one for one in found}
+    return {
+        name: Questionnaire(
+            name, name, texts(f"form.{one.title}"), texts(f"form.{one.introduction}") if one.introduction else "",
+            tlx if name == Workload.name else (),
+        )
+        for name, one in FORMS.items()
+    }  # fmt: skip

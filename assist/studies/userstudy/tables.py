@@ -21,7 +21,6 @@ from .events import Onward
 from .outcomes import COUNTED, Row
 from .participant_team import own_action
 from .plan import Stage, UserStudy
-from .questionnaires import CHOICES
 from .record import StudyRecord
 from .roll import WITHDREW, Participant, Roll
 
@@ -240,12 +239,8 @@ def _answers(study: UserStudy, stage: Stage, answers: Mapping[str, Any]) -> Iter
     items = {item.name: item for item in study.questionnaire(stage.what).items} if answers else {}
     for position, (name, answer) in enumerate(answers.items(), start=1):
         item = items[name]
-        row = {"questionnaire": stage.what, "item": name, "option": None, "position": position}
-        if item.form == CHOICES:
-            for option in item.options:
-                yield row | {"option": option, "answer": option in answer, "score": None, "passed": None}
-        else:
-            yield row | {"answer": answer, "score": item.score(answer), "passed": item.passed(answer)}
+        where = {"questionnaire": stage.what, "item": name, "position": position}
+        yield from (where | row for row in item.kind.rows(item, answer))
 
 
 def _action(stage: Stage, record: StudyRecord, step: int) -> Row:

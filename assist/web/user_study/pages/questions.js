@@ -2,8 +2,7 @@
 
 import { at, element, figure, first, text } from "../../pages/page.js";
 
-const SCALES = ["slider", "nasa-tlx"];
-const POINTS = ["likert", "likert-grid"];
+const LIKE = { "nasa-tlx": "slider", "likert-grid": "likert" }; // forms that are shown as others are
 
 /** Whether the numbers have no finer parts than such, as hundredths. */
 const inParts = (parts, ...numbers) => numbers.every((one) => Math.abs(parts * one - Math.round(parts * one)) < 1e-6);
@@ -84,13 +83,12 @@ export class Questions {
   }
 
   field(item) {
-    const kinds = { choice: "choice", choices: "choices", number: "number", text: "words" };
-    const kind = SCALES.includes(item.form) ? "slider" : POINTS.includes(item.form) ? "points" : kinds[item.form];
+    const form = LIKE[item.form] ?? item.form;
     const optional = !item.required && this.marksOptional;
-    const clears = !item.required && (kind === "choice" || kind === "points" || kind === "slider");
+    const clears = !item.required && ["choice", "likert", "slider"].includes(form);
     const made = element("fieldset", { id: `item ${item.name}`, class: "item", "aria-describedby": `error-${item.name}` },
       element("legend", {}, item.text, optional ? element("span", { class: "hint" }, ` ${text("question.optional")}`) : null),
-      ...this[kind](item),
+      ...this[form](item),
       element("p", { class: "error", id: `error-${item.name}`, hidden: true }));
     if (clears) {
       const clear = element("button", { type: "button", class: "quiet", "aria-label": text("question.clear_of", { question: item.text }) }, text("question.clear"));
@@ -140,7 +138,7 @@ export class Questions {
     return Array.from({ length: item.max }, (_, place) => (place === 0 ? item.low : place === item.max - 1 ? item.high : ""));
   }
 
-  points(item) {
+  likert(item) {
     const labels = this.labels(item);
     const choices = labels.map((label, place) => {
       const value = place + 1;
@@ -190,7 +188,7 @@ export class Questions {
     return [element("p", { class: "figure" }, input, element("span", { class: "hint", "aria-hidden": "true" }, ` ${range(item)}`))];
   }
 
-  words(item) {
+  text(item) {
     const input = element("textarea", { rows: 4, maxlength: 4000, "aria-label": item.text });
     input.value = this.answers[item.name] ?? "";
     input.addEventListener("input", () => this.answer(item, input.value));

@@ -79,7 +79,7 @@ def test_what_is_wrong_with_a_form_is_said_with_its_line(tmp_path: Path) -> None
         ("min = 18", "min = 100", f"{items}[1].max: 99; expected a number above min (100)"),
         ("step = 0.01", "step = 0", f"{items}[4].step: 0; expected a number above 0"),
         ("min = 18", "points = 5", f"{items}[1].points: not a key of the form number"),
-        ('options = ["robots", "games"]', 'options = ["robots"]', f"{items}[3]: options: [\"robots\"]; expected two"),
+        ('options = ["robots", "games"]', 'options = ["robots"]', f"{items}[3].options: [\"robots\"]; expected two"),
         ('when = "before"', 'when = "soon"', "questionnaires[1].when: \"soon\"; expected \"before\" or \"after\" or"),
         ('when = "before"', 'when = "before"\npoints = 5', "questionnaires[1].points: not a key of the form choice"),
         ("correct = 4", "correct = 6", 'questionnaires[2].items[3].correct: 6; expected a whole number from 1 to 5'),
