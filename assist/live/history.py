@@ -15,7 +15,7 @@ from .event_base import Event
 from .explanation import Explanation
 from .record import Record
 from .roster import News
-from .views import Outlook, RobotView
+from .views import Outlook, PersonView, RobotView
 
 R = TypeVar("R", bound=Record)
 
@@ -118,12 +118,12 @@ class History(ABC, Generic[R]):
         """The decision after the last event, of each robot."""
 
     @abstractmethod
-    def person(self, person: str) -> dict[str, Any]:
-        """Return a person's view, as JSON."""
+    def person(self, person: str) -> PersonView:
+        """Return a person's view."""
 
     @abstractmethod
-    def entry(self, person: str) -> dict[str, Any]:
-        """Return the operator's view of a person, as JSON."""
+    def entry(self, person: str) -> PersonView:
+        """Return the operator's view of a person."""
 
     @abstractmethod
     def place(self, person: str) -> tuple[CostToGo | Goals, int]:

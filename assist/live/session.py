@@ -281,7 +281,7 @@ class Session(Reports):
             return known
         of_robot = event.shows == "robot" or event.who is None
         number = getattr(event, "robot", 1)
-        answer = history.robot(number).as_dict() if of_robot else history.person(event.who or "")
+        answer = (history.robot(number) if of_robot else history.person(event.who or "")).as_dict()
         if record is None:
             return answer
         self._store.add(record, answer, at=utc())
@@ -403,7 +403,7 @@ class Session(Reports):
         AbsentError
             The person is not present.
         """
-        return self._of(person, lambda history: history.person(person))
+        return self._of(person, lambda history: history.person(person).as_dict())
 
     def entry(self, person: str) -> dict[str, Any]:
         """Return the operator's view of a person, including beliefs.
@@ -413,7 +413,7 @@ class Session(Reports):
         AbsentError
             The person is not present.
         """
-        return self._of(person, lambda history: history.entry(person))
+        return self._of(person, lambda history: history.entry(person).as_dict())
 
     def outlook(self) -> Outlook:
         """Return the team's part of the operator's view: the robots, the last events, and whether it is paused."""

@@ -202,9 +202,9 @@ class Team(History[TeamRecord]):
         """Return what has become known of a person, or moved them, between actions in their task."""
         return tuple(self.desk.entry(person).news)
 
-    def person(self, person: str) -> dict[str, Any]:
-        """Return a person's view, as JSON."""
-        return PersonView(**self._seen(self._state(person))).as_dict()
+    def person(self, person: str) -> PersonView:
+        """Return a person's view."""
+        return PersonView(**self._seen(self._state(person)))
 
     def _state(self, person: str) -> PersonState:
         """Return the person's state after the last event; it is cached, as several views show it."""
@@ -231,8 +231,8 @@ class Team(History[TeamRecord]):
         """
         return self.desk.explain_later(person, against=against)
 
-    def entry(self, person: str) -> dict[str, Any]:
-        """Return the operator's view of a person, as JSON."""
+    def entry(self, person: str) -> MemberView:
+        """Return the operator's view of a person."""
         known = self._state(person)
         return MemberView(
             **self._seen(known), history=self.desk.entry(person).history,
@@ -241,7 +241,7 @@ class Team(History[TeamRecord]):
             grid={"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
             belief=known.hidden.with_theta(known.belief, "beta").tolist(), goals=dict(known.goals),
             sees=self.desk.seen.whom(self.desk.entry(person)),
-        ).as_dict()  # fmt: skip
+        )  # fmt: skip
 
     def learned(self, person: str) -> Floats | None:
         """Return the belief about a person, shape (B, T), present or not; None if no action was observed.

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, SkipValidation
 
+from planner.system.files import finite
+
 from ..declare.declared import AnyNumber, AnyText, Seldom, Truth, View, Whole, declared
 from .advice import Question, Reason
 from .lines import Line
@@ -66,6 +68,11 @@ class PersonView(View):
         dict[str, Whole], Seldom(),
         Field(description="Only if there are any: how many events that pages show `undo` takes back, by their kind."),
     ] = field(default_factory=dict)  # fmt: skip
+
+    @property
+    def remaining(self) -> float | None:
+        """The cost-to-go; None in a dead end."""
+        return None if self.cost_to_go is None else finite(self.cost_to_go)
 
 
 @declared(kw_only=True)

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse
 
 from ..declare.catalogue import languages
+from ..declare.declared import View
 from ..declare.refusals import AbsentError, Refusal
 from ..live.names import LONGEST_REASON
 from ..live.store import Tombstone
@@ -24,9 +25,9 @@ from .tokens import Caller
 router = APIRouter()
 
 
-def plain(body: bytes | dict[str, Any], media_type: str = "application/json") -> Response:
-    """Return a JSON response; `body` is encoded already, or is a dictionary."""
-    return Response(body if isinstance(body, bytes) else json.dumps(body), media_type=media_type)
+def plain(body: bytes | View, media_type: str = "application/json") -> Response:
+    """Return a view as JSON, or what is encoded already."""
+    return Response(body if isinstance(body, bytes) else json.dumps(body.as_dict()), media_type=media_type)
 
 
 @router.get("/api/health", tags=["service"], response_model=Health, responses=refusals(422) | {503: {"model": Health}})
@@ -40,18 +41,18 @@ async def health(service: Desk, ready: bool = False) -> Any:
 
 
 @router.get("/api/me", tags=["service"], response_model=Me, responses=refusals(), dependencies=[Depends(bearer)])
-async def me(request: Request) -> Any:
+async def me(request: Request) -> Response:
     """Return the owner of the token."""
     person = request.state.caller.person
-    return {"person": person, "operator": person is None}
+    return plain(Me(person=person, operator=person is None))
 
 
 @router.post("/api/session", tags=["service"], response_model=Me, responses=refusals(), dependencies=[Depends(bearer)])
-async def session(request: Request, service: Desk) -> Any:
+async def session(request: Request, service: Desk) -> Response:
     """Set a cookie in place of the token, for the requests of pages."""
     caller: Caller = request.state.caller
     access = service.access
-    answer = plain({"person": caller.person, "operator": caller.person is None})
+    answer = plain(Me(person=caller.person, operator=caller.person is None))
     token = access.operator if caller.person is None else access.token(caller.person)
     cookies.keep(answer, access, cookies.cookie_of(access.base, cookies.subject(caller)), token)
     return answer
@@ -70,10 +71,10 @@ async def drawing(
     """Return a drawing of the person's task, about `width` pixels wide; pages also load `/pages/drawing.css`."""
     pictures: Pictures = request.app.state.pictures
 
-    def drawn() -> dict[str, Any]:
+    def drawn() -> View:
         seen = json.loads(service.views[person])  # read before the state: `seq` is then never newer than the drawing
         task, state = service.session.place(person)
-        return pictures.of(task, state, seen, width).as_dict()
+        return pictures.of(task, state, seen, width)
 
     return plain(await asyncio.to_thread(drawn))
 
@@ -97,14 +98,14 @@ async def explanation(
     pictures: Pictures = request.app.state.pictures
     named = request.state.caller.person is None
 
-    def explained() -> dict[str, Any]:
+    def explained() -> View:
         seq = json.loads(service.views[person])["seq"]  # read before the state, as above
         task, _ = service.session.place(person)
         found = service.explain(person, against)
         found = found.in_words(pictures.words(task, found.actions, spoken))
         if not named:  # a person learns about others what could be gained, not who they are
             found = found.without_names()
-        return {"sentences": found.sentences(spoken), **found.as_dict(), "seq": seq}
+        return Explained(**vars(found), sentences=tuple(found.sentences(spoken)), seq=seq)
 
     return plain(await asyncio.to_thread(explained))
 
@@ -115,7 +116,7 @@ async def instruction(_: Operator, robot: int, service: Desk) -> Response:
     robots = service.outlook.robots
     if not 1 <= robot <= len(robots):
         raise AbsentError("other", why=f"robot {robot}: expected a number from 1 to {len(robots)}")
-    return plain(robots[robot - 1].as_dict())
+    return plain(robots[robot - 1])
 
 
 @router.get("/api/team", tags=["team"], response_model=Team, responses=refusals(403))
@@ -131,14 +132,14 @@ async def erase(
     _: Operator, person: str, service: Desk, reason: Annotated[str, Query(min_length=1, max_length=LONGEST_REASON)]
 ) -> Response:
     """Erase all that is recorded of a person, for good; present or not, they leave first."""
-    return plain(await service.report(Erasure(person, reason)))
+    return plain(Tombstone(**await service.report(Erasure(person, reason))))
 
 
 @router.post("/api/reload", tags=["team"], response_model=Reloaded, responses=refusals(403, 409, 422, 503, 507))
-async def reload(_: Operator, service: Desk) -> Any:
+async def reload(_: Operator, service: Desk) -> Response:
     """Read the service's configuration again, and follow changed distances and people's tasks."""
     found = await service.reload()
-    return {"changes": len(found.events), "restart": found.restart, "new_session": found.new_session}
+    return plain(Reloaded(len(found.events), tuple(found.restart), tuple(found.new_session)))
 
 
 @router.get(

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import field
 from typing import Annotated
 
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from ..declare.declared import AnyNumber, AnyText, Truth, View, Whole, declared
-from ..live.contrast import Contrast
-from ..live.explanation import WhyNothing, WhyPerson, WhyStep
+from ..live.explanation import Explanation
 from ..live.views import MemberView, Outlook, PersonView
-from ..studies.userstudy.views import ParticipantView
+from ..studies.userstudy.views import EnrolledView
 
 
-class Problem(BaseModel):
+@declared
+class Problem(View):
     """The reason for a refusal."""
 
-    detail: str
+    detail: AnyText
 
 
 @declared(kw_only=True)
@@ -33,21 +34,26 @@ class Health(View):
     events: Whole
 
 
-class Reloaded(BaseModel):
+@declared
+class Reloaded(View):
     """What reading the configuration again has changed."""
 
-    changes: int = Field(description="Number of changes: of distances, and of people's tasks.")
-    restart: list[str] = Field(description="Other changed fields of the file, for which a restart is needed.")
-    new_session: list[str] = Field(
-        description="Other changed fields of the file, for which a new session is needed, in another folder."
-    )
+    changes: Annotated[Whole, Field(description="Number of changes: of distances, and of people's tasks.")]
+    restart: Annotated[
+        tuple[AnyText, ...], Field(description="Other changed fields of the file, for which a restart is needed.")
+    ]
+    new_session: Annotated[
+        tuple[AnyText, ...],
+        Field(description="Other changed fields of the file, for which a new session is needed, in another folder."),
+    ]
 
 
-class Me(BaseModel):
+@declared(kw_only=True)
+class Me(View):
     """The owner of a token."""
 
-    person: str | None
-    operator: bool
+    person: AnyText | None
+    operator: Truth
 
 
 @declared
@@ -70,16 +76,12 @@ class Drawn(View):
     seq: Whole
 
 
-class Explained(BaseModel):
+@declared(kw_only=True)
+class Explained(Explanation):
     """Why there is this suggestion for this person now, or none, by the latest decision: sentences, and their data."""
 
-    sentences: list[str]
-    step: WhyStep | None
-    now: WhyPerson | None
-    nothing: WhyNothing | None
-    against: Contrast | None
-    state_probability: float = Field(1.0, description="Probability of the task state for which steps are compared.")
-    seq: int
+    sentences: tuple[AnyText, ...] = field()  # type: ignore[assignment]  # no longer a method
+    seq: Whole
 
 
 @declared(kw_only=True)
@@ -99,13 +101,10 @@ class Member(MemberView):
 
 
 @declared(kw_only=True)
-class Attending(ParticipantView):
+class Attending(EnrolledView):
     """A participant of a user study as the operator sees them: their progress, without beliefs."""
 
-    status: AnyText
-    condition: AnyText | None = None
     connected: Truth
-    simulated: Truth
     join: AnyText
 
 

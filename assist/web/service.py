@@ -461,12 +461,8 @@ class Service:
         for person in people:
             with suppress(AbsentError):
                 entry = self.session.entry(person)
-                more = {
-                    "connected": person in self._watchers,
-                    "simulated": person in self.simulated,
-                    "join": self.access.join_url(person),
-                }
-                found[person] = _json(entry | more)
+                of_page = {"connected": person in self._watchers, "join": self.access.join_url(person)}
+                found[person] = _json({"simulated": person in self.simulated} | entry | of_page)
         return found
 
 

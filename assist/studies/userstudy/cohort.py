@@ -11,6 +11,7 @@ Every event is recorded such that it can be replayed, including random draws and
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from planner import CostToGo
@@ -31,7 +32,7 @@ from .plan import WAITING, UserStudy
 from .record import StudyRecord
 from .roll import DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
 from .teams import Facts, Teams
-from .views import Progress, Waiting
+from .views import EnrolledView, ParticipantView, Progress, Waiting
 
 
 class Cohort(Teams, History[StudyRecord]):
@@ -244,36 +245,37 @@ class Cohort(Teams, History[StudyRecord]):
         """Return a participant's task, and the number of its present state."""
         return self.team_of(self.known(person)).place(person)
 
-    def person(self, person: str) -> dict[str, Any]:
-        """Return a participant's view as JSON data: the task, and the progress in the study."""
+    def person(self, person: str) -> ParticipantView:
+        """Return a participant's view: the task, and the progress in the study."""
         seen = self._seen(person)
-        return seen if self.study.cost_to_go else seen | {"cost_to_go": None}
+        return seen if self.study.cost_to_go else replace(seen, cost_to_go=None)
 
-    def _seen(self, person: str) -> dict[str, Any]:
+    def _seen(self, person: str) -> ParticipantView:
         who = self.known(person)
         stage, here = self.stages[who.at], who.status in (HERE, DONE)
-        seen, over = PersonView(person=person, present=here).as_dict(), False
-        if stage.kind in ("practice", "task") and not who.removed:
-            seen, over = self.team_of(who).seen(person) | {"present": here}, self.is_over(who)
+        seen, over = PersonView(person=person, present=here), False
+        if self.is_at_task(who) and not who.removed:
+            seen, over = self.team_of(who).seen(person), self.is_over(who)
             if over:
-                seen |= {"applicable": [], "suggestion": None, "reason": None}
-            own = self.study.condition_at(stage, who.condition)
-            reasons = own is not None and self.study.condition(own).reasons
-            if not reasons:
-                seen["reason"] = None
+                seen = replace(seen, applicable=(), suggestion=None)
             # Why nothing is suggested would reveal the condition.
-            seen["explained"] = reasons and seen["suggestion"] is not None
-        kind = stage.kind if here else who.status
-        waiting = None
-        if kind == WAITING and self.study.group is not None:
+            own = self.study.condition_at(stage, who.condition)
+            reasons = own is not None and self.study.condition(own).reasons and seen.suggestion is not None
+            seen = replace(seen, present=here, explained=reasons, reason=seen.reason if reasons else None)
+        # The removal of records moves the last event of a participant before views that were sent.
+        seq = self.count if who.removed else who.seq
+        return ParticipantView(**vars(seen) | {"seq": seq, "study": self._progress(who, here=here, over=over)})
+
+    def _progress(self, who: Participant, *, here: bool, over: bool) -> Progress:
+        stage = self.stages[who.at]
+        kind, waiting = stage.kind if here else who.status, None
+        if kind == WAITING:
             others, expected = self.company(who)
             waiting = Waiting(here=len(others), of=expected)
-        study = Progress(
+        return Progress(
             kind=kind, stage=stage.name, what=stage.what, number=who.at + 1, of=len(self.stages), over=over,
             completion=who.completion, items=tuple(item.name for item in self.items(who)), waiting=waiting,
         )  # fmt: skip
-        # The removal of records moves the last event of a participant before views that were sent.
-        return seen | {"seq": self.count if who.removed else who.seq, "study": study.as_dict()}
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
         """Return a function that explains a participant's suggestion, as `Team.explain_later` does.
@@ -283,14 +285,14 @@ class Cohort(Teams, History[StudyRecord]):
         InapplicableError
             The participant sees no reasons in this study, or is not at a task.
         """
-        if not self.person(person)["explained"]:
+        if not self.person(person).explained:
             raise InapplicableError("no_reasons")
         return self.team_of(self.known(person)).team.explain_later(person, against)
 
-    def entry(self, person: str) -> dict[str, Any]:
+    def entry(self, person: str) -> EnrolledView:
         """Return the operator's view of a participant."""
-        who = self.known(person)
-        return self._seen(person) | {"condition": who.condition, "status": who.status, "simulated": who.simulated}
+        who, seen = self.known(person), self._seen(person)
+        return EnrolledView(**vars(seen), condition=who.condition, status=who.status, simulated=who.simulated)
 
     def beliefs(self) -> dict[str, bytes]:
         """Return the beliefs about all members of teams that have begun a task, as exact bytes."""

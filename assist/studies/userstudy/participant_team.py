@@ -19,6 +19,7 @@ from ...live.events import Acted, Began, Elapsed, Joined, Left
 from ...live.record import TeamRecord
 from ...live.simulated_person import SimulatedPerson
 from ...live.team import Team
+from ...live.views import PersonView
 
 Subs = tuple[TeamRecord, ...]
 """Events within a team."""
@@ -101,8 +102,8 @@ class ParticipantTeam:
         subs = self._all([*self._rejoins(person), own], n, time, mates=True)
         after = self.team.person(person)
         seen = Seen(
-            suggestion=before["suggestion"] if own_action(subs, person).heard else None,
-            cost_before=before["cost_to_go"], cost_after=after["cost_to_go"], finished=after["finished"],
+            suggestion=before.suggestion if own_action(subs, person).heard else None,
+            cost_before=before.remaining, cost_after=after.remaining, finished=after.finished,
             optimal=not self.team.desk.erred(person),
         )  # fmt: skip
         return subs, seen
@@ -139,10 +140,10 @@ class ParticipantTeam:
     def _chosen(self, name: str, mate: SimulatedPerson) -> str | None:
         seen = self.team.person(name)
         mate.hear(self.team.news(name))
-        if seen["finished"]:
+        if seen.finished:
             return None
-        task, state = self._tasks[seen["task"]], self.team.place(name)[1]
-        return mate.act(task, state, seen["applicable"], seen["suggestion"])
+        task, state = self._tasks[seen.task], self.team.place(name)[1]
+        return mate.act(task, state, seen.applicable, seen.suggestion)
 
     def again(self, subs: Sequence[TeamRecord]) -> None:
         """Replay recorded events."""
@@ -162,7 +163,7 @@ class ParticipantTeam:
 
     # Views.
 
-    def seen(self, person: str) -> dict[str, Any]:
+    def seen(self, person: str) -> PersonView:
         """Return a participant's view of the task."""
         return self.team.person(person)
 

@@ -71,7 +71,7 @@ class Teams(Roll):
     def is_over(self, person: Participant) -> bool:
         """Whether the participant's task is over: finished, unsolvable, or beyond the time limit."""
         seen = self.team_of(person).seen(person.code)
-        return bool(seen["finished"]) or seen["cost_to_go"] is None or person.expired
+        return seen.finished or seen.remaining is None or person.expired
 
     def enters_next(self, person: Participant, n: int, time: float) -> Facts:
         """Return what follows when a participant enters the next stage: a condition, a task, a completion code."""

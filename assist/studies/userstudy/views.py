@@ -43,3 +43,12 @@ class ParticipantView(PersonView):
     """A participant's view: the task, if there is one, and the progress."""
 
     study: Progress
+
+
+@declared(kw_only=True)
+class EnrolledView(ParticipantView):
+    """The operator's view of a participant."""
+
+    status: AnyText
+    condition: AnyText | None
+    simulated: Truth

@@ -16,13 +16,15 @@ from ...declare.refusals import Refusal
 from ...studies.userstudy.export import archive
 from ...studies.userstudy.plan import UserStudy
 from ...studies.userstudy.questionnaires import Item
+from ...studies.userstudy.views import Progress
 from .. import cookies
 from ..authorization import READ, WRITE, Operator, Own, refusals
+from ..event_routes import told
 from ..page_routes import page, piece
 from ..routes import plain
 from ..streams import DESCRIBED, view_stream
 from ..tokens import VISITOR
-from .schemas import Done, Identified, Links, Seat, Visit, Withdrawal, Withdrawn
+from .schemas import Done, Identified, Links, Overview, Seat, Visit, Withdrawal, Withdrawn
 from .service import StudyService
 
 PAGES = Path(__file__).parent / "pages"
@@ -68,7 +70,7 @@ def _shown(item: Item) -> dict[str, Any]:
 
 
 @router.post("/api/study/seats", tags=["study"], response_model=Seat, responses=WRITE)
-async def visit(request: Request, coming: Visit, study: Study) -> Any:
+async def visit(request: Request, coming: Annotated[Visit, told(Visit)], study: Study) -> Response:
     """Join the study by the join link's token; 409 if it is full. A repeated id returns the same participant."""
     if request.state.caller.person not in (None, VISITOR):
         raise Refusal("visitors")
@@ -84,7 +86,7 @@ async def visit(request: Request, coming: Visit, study: Study) -> Any:
     code = seen["person"]
     part = study.access.join_url(code).removeprefix(study.access.base).replace("/join/", "/part/", 1)
     now = json.loads(study.views[code])  # may be later than the answer
-    answer = plain({"person": code, "part": part, "study": now["study"]})
+    answer = plain(Seat(code, part, Progress(**now["study"])))
     cookies.keep(answer, study.access, kept, study.access.signed(SEAT, code))
     return answer
 
@@ -96,40 +98,38 @@ def _throttled(wait: float, what: str) -> None:
 
 
 @router.post("/api/study/links", tags=["study"], response_model=Links, responses=refusals(403, 422))
-async def links(_: Operator, wanted: Identified, study: Study) -> Any:
+async def links(_: Operator, wanted: Annotated[Identified, told(Identified)], study: Study) -> Response:
     """Return a signed join link for each participant whom another system identifies."""
-    return plain({"links": {one: study.participant_url(one) for one in wanted.participants}})
+    return plain(Links({one: study.participant_url(one) for one in wanted.participants}))
 
 
 @router.get("/api/study/form", tags=["study"], responses=refusals())
 async def form(request: Request, study: Study) -> Response:
     """Return the content of the study's pages: title, texts and questionnaires."""
     if not hasattr(request.app.state, "form"):
-        request.app.state.form = form_of(study.study)
+        request.app.state.form = json.dumps(form_of(study.study)).encode()
     return plain(request.app.state.form)
 
 
 @router.get("/api/study/participants/{person}/withdrawal", tags=["study"], response_model=Withdrawal, responses=READ)
-async def withdrawal(person: Own, study: Study) -> Any:
+async def withdrawal(person: Own, study: Study) -> Response:
     """Return how the participant's data can be withdrawn later, without this page."""
     until = study.study.withdraw_until
-    return plain({
-        "code": study.withdrawal_code(person), "address": study.withdrawal_url(),
-        "until": None if until is None else until.isoformat(),
-    })  # fmt: skip
+    day = None if until is None else until.isoformat()
+    return plain(Withdrawal(study.withdrawal_code(person), study.withdrawal_url(), day))
 
 
 @router.post("/api/study/withdrawals", tags=["study"], response_model=Done, responses=WRITE)
-async def withdraw_by_code(request: Request, given: Withdrawn, study: Study) -> Any:
+async def withdraw_by_code(request: Request, given: Annotated[Withdrawn, told(Withdrawn)], study: Study) -> Response:
     """Withdraw a participant's data by the withdrawal code, with the join link's token, also after the end."""
     if request.state.caller.person not in (None, VISITOR):
         raise Refusal("visitors_withdraw")
     _throttled(study.guesses.wait(request.state.address), "guesses")
     await study.withdraw(given.code)
-    return plain({"done": True})
+    return plain(Done())
 
 
-@router.get("/api/study", tags=["study"], responses=refusals(403))
+@router.get("/api/study", tags=["study"], response_model=Overview, responses=refusals(403))
 async def overview(_: Operator, study: Study) -> Response:
     """Return each participant's stage, condition and status."""
     return plain(await study.overview())
@@ -140,7 +140,7 @@ async def overviews(_: Operator, study: Study) -> Response:
     """Stream each participant's stage, condition and status (`study`)."""
 
     async def overview() -> bytes:
-        return json.dumps(await study.overview()).encode()
+        return json.dumps((await study.overview()).as_dict()).encode()
 
     return view_stream(study, "study", overview)
 

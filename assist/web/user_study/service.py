@@ -18,13 +18,14 @@ from ...live.views import RobotView
 from ...studies.userstudy.codes import identifier, spelled
 from ...studies.userstudy.cohort import Cohort
 from ...studies.userstudy.events import Elapsed, Returned, StudyEvent, Visited, Withdrew
-from ...studies.userstudy.roll import HERE
+from ...studies.userstudy.roll import DONE, HERE, Participant
 from ...studies.userstudy.session import StudySession
 from ...studies.userstudy.views import ParticipantView
 from ..request_limits import Allowance
 from ..service import Erasure, Service
 from ..tokens import VISITOR, AccessTokens, secret_in
 from ..watchers import Watcher
+from .schemas import Assigned, Enrolled, Overview
 
 PARTICIPANT = "participant "
 """Begins the ids of participants whom another system, such as a recruiting service, identifies."""
@@ -269,37 +270,36 @@ class StudyService(Service):
 
     # The experimenter's view.
 
-    async def overview(self) -> dict[str, Any]:
+    async def overview(self) -> Overview:
         """Return each participant's stage, condition and status."""
-        found: dict[str, Any] = await asyncio.to_thread(self._held.see, self._overview)
+        found: Overview = await asyncio.to_thread(self._held.see, self._overview)
         return found
 
-    def _overview(self, cohort: Cohort) -> dict[str, Any]:
-        now, study = self.session.now(), self.study
-        people = []
-        for code, person in cohort.participants.items():
-            tasks = [] if person.erased or person.removed else person.at_tasks()
-            people.append({
-                "code": code, "status": person.status, "stage": cohort.stages[person.at].name,
-                "number": person.at + 1, "condition": person.condition, "connected": self.connected(code),
-                "seconds": round(now - person.entered) if person.status == HERE else None,
-                "steps": tasks[-1].seen(code)["steps"] if tasks else None, "simulated": person.simulated,
-                "erased": person.erased, "excluded": person.excluded, "group": person.group,
-            })  # fmt: skip
+    def _overview(self, cohort: Cohort) -> Overview:
+        study, people = self.study, tuple(self._enrolled(cohort, who) for who in cohort.participants.values())
         counts, policies = cohort.by_condition(), {one.name: one.policy for one in study.conditions}
-        return {
-            "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.taken,
-            "stages": [stage.name for stage in cohort.stages], "participants": people, "events": cohort.count,
-            "fault": cohort.fault, "problems": self.problems(), "design": study.design,
-            "conditions": [
-                {
-                    "name": name, "policy": " > ".join(policies[one] for one in order), "counting": counts[name],
-                    "begun": sum(who["condition"] == name for who in people),
-                    "done": sum(who["condition"] == name and who["status"] == "done" for who in people),
-                }
-                for name, order in study.orders.items()
-            ],
-        }  # fmt: skip
+        conditions = tuple(
+            Assigned(
+                name=name, policy=" > ".join(policies[one] for one in order), counting=counts[name],
+                begun=sum(who.condition == name for who in people),
+                done=sum(who.condition == name and who.status == DONE for who in people),
+            )
+            for name, order in study.orders.items()
+        )  # fmt: skip
+        return Overview(
+            title=study.title, design=study.design, join=self.join_url(), places=study.participants, taken=cohort.taken,
+            stages=tuple(stage.name for stage in cohort.stages), conditions=conditions, participants=people,
+            events=cohort.count, fault=cohort.fault, problems=tuple(self.problems()),
+        )  # fmt: skip
+
+    def _enrolled(self, cohort: Cohort, who: Participant) -> Enrolled:
+        tasks = [] if who.erased or who.removed else who.at_tasks()
+        return Enrolled(
+            code=who.code, status=who.status, stage=cohort.stage(who).name, number=who.at + 1, condition=who.condition,
+            connected=self.connected(who.code), simulated=who.simulated, erased=who.erased, excluded=who.excluded,
+            seconds=round(self.session.now() - who.entered) if who.status == HERE else None,
+            steps=tasks[-1].seen(who.code).steps if tasks else None, group=who.group,
+        )  # fmt: skip
 
 
 def _in_one_form(visit: str) -> str:

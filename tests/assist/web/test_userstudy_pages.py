@@ -90,6 +90,13 @@ def test_nobody_can_mark_a_study_as_a_rehearsal(web: Web) -> None:
     assert [one["simulated"] for one in people] == [False]
 
 
+def test_the_operator_sees_who_is_simulated_in_a_rehearsal(web: Web) -> None:
+    web.service.rehearsal = True
+    web.ask("POST", "/api/study/seats", VISITOR, json={"id": "robot", "simulated": True})
+    assert [one["simulated"] for one in web.ask("GET", "/api/team").json()["people"]] == [True]
+    assert [one["simulated"] for one in web.ask("GET", "/api/study").json()["participants"]] == [True]
+
+
 def test_a_waiting_room_of_a_hundred_people_is_admitted_at_the_same_second(tiny: Table, tmp_path: Path) -> None:
     """All have the same link and the same network address."""
     web = Web(tiny, tmp_path, allowance=Allowance(clock=lambda: 0.0))

@@ -372,7 +372,7 @@ def test_data_can_be_withdrawn_after_the_end_and_are_in_no_table_then(opened: Op
         kept = [row for row in getattr(before, name) if row["participant"] == "bob"]
         assert getattr(after, name) == kept
     session.close()
-    assert opened().cohort.person("ann")["study"]["kind"] == "withdrew"
+    assert opened().cohort.person("ann").study.kind == "withdrew"
 
 
 def test_data_can_be_withdrawn_until_the_studys_date_and_the_report_counts_everybody(
