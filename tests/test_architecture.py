@@ -31,7 +31,7 @@ ROOMS = {
         orbit_table table_file on_demand portfolio""",
     "planner.batch": "results_folder solve_instance solve_batch",
     "planner": "engine",
-    "assist.declare": "declared tables options catalogue refusals",
+    "assist.declare": "declared rows tables options catalogue refusals",
     "assist.people": """hidden_type arguments state_keys slots choices misconception decision same_costs user_code
         goals terms memory memory_on_demand choice_model weighted_choice human ranges real_people spread belief
         influence_kernels type_kernels trust_rules neighbours neighbourhood sights theta_reach perceived_suggestions

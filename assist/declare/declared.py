@@ -394,6 +394,11 @@ def _members(kind: Any) -> tuple[Any, ...]:
     return get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
 
 
+def has_none(kind: Any) -> bool:
+    """Whether None is a value of a type."""
+    return type(None) in _members(kind)
+
+
 def _place(kind: Any, parts: Sequence[str | int]) -> tuple[Place, Any]:
     """Return the place of a fault without the names of a union's members, and the type that is expected there."""
     place: list[str | int] = []

@@ -17,20 +17,31 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from planner.system.errors import InputFileError
 
+from ..declare.declared import AnyText, declared
+from ..declare.rows import created, insert
 from ..people.decision import Floats
 from .store import JournalError, private
 
-TABLE = """
-CREATE TABLE IF NOT EXISTS people (
-    name TEXT PRIMARY KEY, model TEXT NOT NULL, shape TEXT NOT NULL, belief BLOB NOT NULL, expires TEXT NOT NULL
-) WITHOUT ROWID
-"""
+
+@declared
+class PersonRow:
+    """A row of the table `people`."""
+
+    name: Annotated[AnyText, Field(description="The person.")]
+    model: Annotated[AnyText, Field(description="What the belief means, as `model_of` says it.")]
+    shape: Annotated[AnyText, Field(description="The shape of the belief, as JSON.")]
+    belief: Annotated[bytes, Field(description="The belief, in numbers of eight bytes, the lowest first.")]
+    expires: Annotated[AnyText, Field(description="When the row is removed, UTC.")]
+
+
+TABLE = f"{created('people', PersonRow, {'name': 'PRIMARY KEY'})} WITHOUT ROWID"
 
 
 def _now() -> datetime:
@@ -126,9 +137,9 @@ class PeopleStore:
         if person in self._except:
             return
         expires = (self._now() + timedelta(days=self._days)).isoformat()
-        row = person, model, json.dumps(belief.shape), belief.astype("<f8").tobytes(), expires
+        row = PersonRow(person, model, json.dumps(belief.shape), belief.astype("<f8").tobytes(), expires)
         with self._connected() as db:
-            db.execute("INSERT OR REPLACE INTO people VALUES (?, ?, ?, ?, ?)", row)
+            insert(db, "people", row, instead=True)
 
     def erase(self, person: str) -> bool:
         """Remove what is stored of a person, for good; return whether there was anything."""

@@ -28,24 +28,12 @@ from pydantic import Field
 from planner.system.errors import InputFileError
 
 from ..declare.declared import AnyText, View, Whole, declared
+from ..declare.rows import created, insert, select
 from .record import Record
 
 R = TypeVar("R", bound=Record)
 
 OWNER_ONLY = stat.S_IRUSR | stat.S_IWUSR
-
-TABLES = """
-CREATE TABLE IF NOT EXISTS header (document TEXT NOT NULL);
-CREATE TABLE IF NOT EXISTS events (
-    n INTEGER PRIMARY KEY, at TEXT, person TEXT NOT NULL, id TEXT, record TEXT NOT NULL, answer TEXT,
-    CHECK ((id IS NULL) = (answer IS NULL))
-);
-CREATE UNIQUE INDEX IF NOT EXISTS answered ON events (person, id) WHERE id IS NOT NULL;
-CREATE TABLE IF NOT EXISTS erased (
-    label TEXT PRIMARY KEY, at TEXT NOT NULL, reason TEXT NOT NULL, events INTEGER NOT NULL, purged INTEGER NOT NULL
-);
-"""
-"""The tables; `person` is empty for events without a person, `at` is empty for erased events."""
 
 
 class JournalError(OSError):
@@ -60,6 +48,33 @@ class Tombstone(View):
     at: Annotated[AnyText, Field(description="Time of the erasure, UTC.")]
     reason: Annotated[AnyText, Field(description="Why, without the person's name.")]
     events: Annotated[Whole, Field(description="Number of erased events.")]
+
+
+@declared(kw_only=True)
+class Buried(Tombstone):
+    """A row of the table `erased`."""
+
+    purged: Annotated[Whole, Field(description="Whether no traces remain in the files, 0 or 1.")] = 0
+
+
+@declared
+class EventRow:
+    """A row of the table `events`."""
+
+    n: Annotated[Whole, Field(ge=1, description="Number of the event.")]
+    at: Annotated[AnyText | None, Field(description="When it was stored, UTC; null for erased events.")]
+    person: Annotated[AnyText, Field(description="Of whom it is; empty for events without a person.")]
+    id: Annotated[AnyText | None, Field(description="Chosen by the client.")]
+    record: Annotated[AnyText, Field(description="The record, as JSON.")]
+    answer: Annotated[AnyText | None, Field(description="What was answered, as JSON; kept if there is an id.")]
+
+
+TABLES = ";".join((
+    "CREATE TABLE IF NOT EXISTS header (document TEXT NOT NULL)",
+    created("events", EventRow, {"n": "PRIMARY KEY"}, "CHECK ((id IS NULL) = (answer IS NULL))"),
+    "CREATE UNIQUE INDEX IF NOT EXISTS answered ON events (person, id) WHERE id IS NOT NULL",
+    created("erased", Buried, {"label": "PRIMARY KEY"}),
+))  # fmt: skip
 
 
 class EventStore(Generic[R]):
@@ -171,7 +186,7 @@ class EventStore(Generic[R]):
     def tombstones(self) -> list[Tombstone]:
         """Return what remains of the people whose records were erased."""
         with self._sqlite_errors():
-            return [Tombstone(*row) for row in self._db.execute("SELECT label, at, reason, events FROM erased")]
+            return select(self._db, Tombstone, "erased")
 
     # Writing.
 
@@ -213,9 +228,9 @@ class EventStore(Generic[R]):
     def add(self, record: R, answer: Any, *, at: str) -> None:
         """Add an event within a transaction; `answer` is stored if the event has an id."""
         person, id = record.event.who or "", record.event.id
-        row = record.n, at, person, id, record.text(), None if id is None else _text(answer)
+        row = EventRow(record.n, at, person, id, record.text(), None if id is None else _text(answer))
         with self._sqlite_errors():
-            self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?)", row)
+            insert(self._db, "events", row)
 
     def check(self, room: int = 1 << 16) -> None:
         """Check, after something could not be written, whether there is room again for at least `room` bytes.
@@ -249,10 +264,10 @@ class EventStore(Generic[R]):
         """Add the tombstone of a person within a transaction, in which `rewrite` follows."""
         with self._sqlite_errors():
             count = self._db.execute("SELECT count(*) FROM events WHERE person = ?", (person,)).fetchone()[0]
-            stone = Tombstone(label, utc(), reason, count)
+            stone = Buried(label, utc(), reason, count)
             self._db.execute("DELETE FROM erased WHERE label = ?", (person,))  # who withdrew and is erased later
-            self._db.execute("INSERT INTO erased VALUES (:label, :at, :reason, :events, 0)", stone.as_dict())
-        return stone
+            insert(self._db, "erased", stone)
+        return Tombstone(stone.label, stone.at, stone.reason, stone.events)
 
     def rewrite(self, person: str, change: Callable[[R, Any], tuple[R, Any]]) -> Iterator[R]:
         """Apply a change to all events within a transaction; yield the record of each as it is stored now."""

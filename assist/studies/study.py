@@ -22,7 +22,22 @@ from pydantic import Field
 
 from planner import Instance
 
-from ..declare.declared import AnyText, Count, Expected, Number, Seed, Text, Texts, Truth, Whole, declared, plain
+from ..declare.declared import (
+    AnyText,
+    Count,
+    Expected,
+    Number,
+    Seed,
+    Text,
+    Texts,
+    Truth,
+    Whole,
+    annotation_of,
+    declared,
+    marks,
+    names_of,
+    plain,
+)  # fmt: skip
 from ..people.ranges import Population
 from ..people.user_code import UserChoiceModel
 from ..person.settings import Setting
@@ -31,15 +46,6 @@ from ..team.policy_names import BASELINES
 SCHEMA = 1
 """Version of the format of `episodes.jsonl` and `summary.json`."""
 
-IRRELEVANT = {
-    "file",
-    "title",
-    "repeats",
-    "focus",
-    "baseline",
-    "contrasts",
-    "reference",
-}  # for the episodes
 OWN = "own"
 """The prior that equals the population from which people are drawn."""
 
@@ -174,15 +180,26 @@ class Contrast:
     to: Annotated[Texts, Field(description="Populations of the denominator.")]
 
 
+@dataclass(frozen=True)
+class Unseen:
+    """Marks a field of a plan on which no episode depends: a study goes on where it was with another value."""
+
+
 @declared(kw_only=True)
 class StudyPlan:
     """The numbers of a study, which its file sets and its report shows."""
 
     seed: Annotated[Seed, Field(description="Seed of all randomness.")] = 0
-    repeats: Annotated[Count, Field(description="Pools of people that are drawn for each combination.")] = 50
+    repeats: Annotated[Count, Unseen(), Field(description="Pools of people that are drawn for each combination.")] = 50
     pool: Annotated[Count, Field(description="People in a pool.")] = 12
     draws: Annotated[Count, Field(description="Teams that are drawn from each pool for each K.")] = 6
     trials: Annotated[Count, Field(description="Episodes of each team.")] = 5
+
+
+IRRELEVANT = {"file", "title", "focus", "baseline", "contrasts", "reference"} | {
+    name for name in names_of(StudyPlan) if Unseen() in marks(annotation_of(StudyPlan, name))
+}
+"""Fields of a study on which no episode depends."""
 
 
 @dataclass(frozen=True, kw_only=True)
