@@ -82,8 +82,8 @@ ROOMS = {
         task_drawings event_routes routes metrics streams page_routes app connections server client""",
     "assist.web.user_study": "schemas service routes rehearsal server",
     "assist.connect": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
-    "assist.connect.bridges": """messages ordering session_client tasks transport errands kernel mqtt_settings mqtt
-        opcua_settings opcua opcua_server ros2_settings ros2""",
+    "assist.connect.bridges": """messages ordering session_client tasks transport errands kernel mqtt_settings
+        mqtt_topics mqtt opcua_settings opcua opcua_nodes opcua_server ros2_settings ros2""",
     "assist.cli.terminal": "interrupts console",
     "assist.cli.options": """common settings config task population person travel policies goals team help bridges
         listening live log trust""",

@@ -10,22 +10,19 @@ Advice is published retained, and again after each reconnection, since a broker 
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
-import re
 import socket
-from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import MissingExtraError
 
-from ...declare.refusals import Refusal
-from .messages import LONGEST_ID, fields_of, unusable
-from .mqtt_settings import ADVICE, ROBOT, MqttSettings
+from .mqtt_settings import MqttSettings
+from .mqtt_topics import Topics
 from .ordering import Acknowledgements
-from .transport import Answer, Faulty, Kept, Located, Message, Output, Reported, Resumed, Transport
+from .transport import Message
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -35,7 +32,6 @@ LOG = logging.getLogger(__name__)
 ONLINE, OFFLINE = b"online", b"offline"
 QUIET = 0.3
 """Seconds without a message after which a broker has sent all that it keeps."""
-WILD = re.compile(r"[/+#\0]")  # characters that a level of a topic cannot have
 
 
 def library() -> ModuleType:
@@ -63,7 +59,7 @@ def _confirm(broker: aiomqtt.Client) -> None:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
 
 
-class Mqtt(Transport):
+class Mqtt(Topics):
     """A broker.
 
     Parameters
@@ -81,14 +77,10 @@ class Mqtt(Transport):
         A file of the TLS settings cannot be read.
     """
 
-    name, reads = "MQTT", MqttSettings
-
     def __init__(self, settings: MqttSettings, robots: int = 1, *, at_once: int = 8) -> None:
-        super().__init__()
-        self.settings, self.at_once, self.wait, self._mqtt = settings, at_once, settings.wait, library()
+        super().__init__(settings, robots)
+        self.at_once, self._mqtt = at_once, library()
         self.lost = (self._mqtt.MqttError, OSError)
-        self._count = robots
-        self.robots = 0 if settings.robot is None else robots
         self._context = settings.context()
         self._begun, self._asked = list[Message](), False
 
@@ -102,7 +94,7 @@ class Mqtt(Transport):
         settings = self.settings
         async with self._client() as broker:
             self._broker, self._open = broker, Acknowledgements(broker._client.ack)
-            for topic in self._topics():
+            for topic in self.topics():
                 await broker.subscribe(topic, qos=1)
             if not self._asked:  # later the bridge itself knows how far numbers are, and what it has published
                 self._begun, self._asked = await self._retained(), True
@@ -138,26 +130,20 @@ class Mqtt(Transport):
 
         Some brokers send what they keep to new subscribers only, so that a client of its own asks for it.
         """
-        outputs = (self.settings.answers, self.settings.advice)
-        topics, found = [one.topic for one in outputs if one is not None], list[Message]()
+        topics, found = self.kept(), list[Message]()
         if not topics:
             return found
         try:
             async with self._named(f"{self.settings.broker.client}-answers", clean_session=True, timeout=3.0) as reader:
                 for topic in topics:
-                    await reader.subscribe(topic.filter, qos=1)
+                    await reader.subscribe(topic, qos=1)
                 with suppress(TimeoutError):
                     while True:
                         message = await asyncio.wait_for(anext(reader.messages), QUIET)
-                        found += self._before(str(message.topic), message.payload)
+                        found += self.before(str(message.topic), message.payload)
         except self.lost as error:
             LOG.warning("MQTT: the last answers cannot be read, so that numbers begin at 1 again: %s", error)
         return found
-
-    def _topics(self) -> list[str]:
-        settings = self.settings
-        topics = [source.topic.filter for source in settings.sources]
-        return topics + ([settings.arrived.topic.filter] if settings.arrived is not None else [])
 
     async def messages(self) -> AsyncIterator[Message]:
         """Yield what the broker delivers."""
@@ -172,75 +158,3 @@ class Mqtt(Transport):
         payload, retain = content
         await self._broker.publish(key, payload, qos=1, retain=retain)
         _confirm(self._broker)
-
-    # What messages mean.
-
-    def message(self, topic: str, payload: bytes, done: Any) -> Message:
-        """Return what a message reports."""
-        arrived = self.settings.arrived
-        if arrived is not None and (fields := arrived.topic.fields(topic)) is not None:
-            return self._located(fields.get("robot", "1"), payload, done)
-        source = next((one for one in self.settings.sources if one.topic.fields(topic) is not None), None)
-        if source is None:  # a subscription of an earlier configuration
-            return Message(done=done)
-        fields = dict(source.topic.fields(topic) or {})
-        try:
-            fields = source.fields(topic, payload)
-            return Reported(source.report(fields, self.settings.names), done=done)
-        except Refusal as error:
-            return Faulty(str(error), fields.get("person"), fields.get("id"), done=done)
-
-    def _before(self, topic: str, payload: bytes) -> Iterator[Message]:
-        """Yield what follows from a message that the broker has kept; the one last answer may be of this session."""
-        answers, advice = self.settings.answers, self.settings.advice
-        if answers is not None and (own := answers.topic.fields(topic)) is not None:
-            with suppress(ValueError):
-                fields = fields_of(payload)
-                if fields.get("session") == self.session and "next" in fields:
-                    yield Resumed(own["person"], int(fields["next"]))
-                    return
-            yield Kept(own["person"])
-        if advice is not None and (own := advice.topic.fields(topic)) is not None:
-            yield Kept(own["person"])
-
-    def _located(self, robot: str, payload: bytes, done: Any) -> Message:
-        try:
-            if robot not in map(str, range(1, self._count + 1)):
-                raise unusable(f"robot {robot[:40]!r}; expected a number from 1 to {self._count}")
-            fields = fields_of(payload)
-        except Refusal as error:
-            LOG.warning("MQTT: arrival of a robot: %s", error)
-            return Message(done=done)
-        return Located(int(robot), fields.get("person"), fields.get("id"), done=done)
-
-    # What goes where.
-
-    def advice(self, person: str, view: Mapping[str, Any] | None) -> Iterable[Output]:
-        """Yield a person's advice; when they have left, the broker is to keep nothing of them."""
-        output = self.settings.advice
-        if output is not None:
-            payload = b"" if view is None else _json(view, output.fields or ADVICE)
-            yield Output(output.topic.fill(person=person), (payload, True), keep=True)
-
-    def answer(self, answer: Answer) -> Iterable[Output]:
-        """Yield the answer to a report; that to a numbered one is retained, with the number that comes next."""
-        topic, person = self.settings.answers, answer.person
-        if topic is not None and person and len(person) <= LONGEST_ID and not WILD.search(person):
-            session = {} if answer.next is None else {"session": self.session}
-            payload = json.dumps(answer.as_dict() | session).encode()
-            yield Output(topic.topic.fill(person=person), (payload, answer.number is not None))
-
-    def forget(self, person: str) -> Iterable[Output]:
-        """Yield what removes the last answer to a person who has left."""
-        if self.settings.answers is not None:
-            yield Output(self.settings.answers.topic.fill(person=person), (b"", True))
-
-    def instruction(self, robot: int, errand: Mapping[str, Any]) -> Iterable[Output]:
-        """Yield a robot's instruction."""
-        output = self.settings.robot
-        if output is not None:
-            yield Output(output.topic.fill(robot=str(robot)), (_json(errand, output.fields or ROBOT), True), keep=True)
-
-
-def _json(view: Mapping[str, Any], fields: Iterable[str]) -> bytes:
-    return json.dumps({name: view.get(name) for name in fields}).encode()

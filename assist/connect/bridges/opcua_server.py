@@ -1,10 +1,8 @@
 """An OPC UA server of the assistant's own, for systems that only poll: they read advice and write reports.
 
-Each person in the team has an object with the variables `Suggestion`, `Finished`, `Seq`, `Action`, `Begin` and `Answer`
-and the method `Report`; each robot has one with `Person`, `Suggestion` and `Arrived`. Clients may write `Action`,
-`Begin` and `Arrived`. A value that they write is a report when it differs from the one before and is not empty, so
-systems may write their outputs in every cycle. Values with ids of their own happen once, even when they are written
-again after a restart.
+A value that clients write (`opcua_nodes`) is a report when it differs from the one before and is not empty, so systems
+may write their outputs in every cycle. Values with ids of their own happen once, even when they are written again after
+a restart.
 
 When `Answer` shows a report, `Suggestion` is not older than it.
 """
@@ -17,18 +15,16 @@ import json
 import uuid
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from ...declare.refusals import Refusal
 from .messages import LONGEST_ID, Report, fields_of_value
 from .opcua import library
+from .opcua_nodes import NAMESPACE, UNKNOWN, Nodes
 from .opcua_settings import OwnServerSettings, password
-from .transport import Answer, Located, Message, Output, Reported, Transport
-
-NAMESPACE = "urn:kitassist"
-UNKNOWN = -1  # `Seq` in a call that does not say which advice the person had seen
+from .transport import Answer, Message, Output, Reported, Transport
 
 
 class _Users:
@@ -43,14 +39,6 @@ class _Users:
             return self._user()
         expected, given = (f"{self._name}\n{self._password}", f"{username}\n{password}")
         return self._user() if hmac.compare_digest(expected.encode(), given.encode(errors="replace")) else None
-
-
-@dataclass
-class _Nodes:
-    """The nodes of a person or robot: the object, and its variables by name."""
-
-    object: Any
-    variables: dict[str, Any] = field(default_factory=dict)
 
 
 class OwnServer(Transport):
@@ -72,10 +60,7 @@ class OwnServer(Transport):
     def __init__(self, settings: OwnServerSettings, robots: int = 1) -> None:
         super().__init__()
         self.settings, self._library, self.robots = settings, library(), robots
-        self._received = asyncio.Queue[Message]()
-        self._nodes: dict[str, _Nodes] = {}  # of people and robots, by their path
-        self._inputs: dict[str, Callable[[str], Message]] = {}  # what written values report
-        self._last: dict[str, Any] = {}  # the last value of each node that clients write
+        self._received, self._last = asyncio.Queue[Message](), dict[str, Any]()
 
     def address(self) -> str:
         """Return the address at which it listens."""
@@ -87,7 +72,6 @@ class OwnServer(Transport):
         # The library's own nodes take seconds, in which the service would answer nobody.
         server = self._server = await asyncio.to_thread(asyncio.run, self._prepared())
         await server.start()
-        self._nodes, self._inputs = {}, {}
         try:
             yield
         finally:
@@ -105,9 +89,8 @@ class OwnServer(Transport):
         server.set_security_policy([ua.SecurityPolicyType.NoSecurity], permission_ruleset=users.SimpleRoleRuleset())
         anonymous = self.settings.own_server.username is None
         server.set_identity_tokens([ua.AnonymousIdentityToken if anonymous else ua.UserNameIdentityToken])
-        self._space = await server.register_namespace(NAMESPACE)
-        for name in ("People", "Robots"):
-            await server.nodes.objects.add_folder(ua.NodeId(name, self._space), f"{self._space}:{name}")
+        self._nodes = Nodes(ua, server, await server.register_namespace(NAMESPACE), self, self._last)
+        await self._nodes.prepare()
         server.subscribe_server_callback(self._library.common.callback.CallbackType.PostWrite, self._written)
         return server
 
@@ -119,69 +102,9 @@ class OwnServer(Transport):
     async def send(self, key: str, content: Mapping[str, Any] | None) -> None:
         """Show values of a person or robot, whose nodes are made when they are first needed; None removes them."""
         if content is None:
-            await self._remove(key)
-            return
-        if key not in self._nodes and "Answer" not in content:
-            self._nodes[key] = await (self._person(key) if key.startswith("People/") else self._robot(key))
-        if key in self._nodes:  # unless the person has left meanwhile
-            for name, value in content.items():
-                await self._nodes[key].variables[name].write_value(self._typed(value))
-
-    # Nodes.
-
-    async def _object(self, path: str) -> _Nodes:
-        ua, (folder, name) = self._library.ua, path.split("/", 1)
-        parent = self._server.get_node(ua.NodeId(folder, self._space))
-        return _Nodes(await parent.add_object(ua.NodeId(path, self._space), f"{self._space}:{name}"))
-
-    async def _variable(
-        self, nodes: _Nodes, name: str, value: Any, reports: Callable[[str], Message] | None = None
-    ) -> None:
-        """Add a variable; if clients may write it, with what its values report."""
-        ua = self._library.ua
-        path = f"{nodes.object.nodeid.Identifier}/{name}"
-        node = await nodes.object.add_variable(
-            ua.NodeId(path, self._space), f"{self._space}:{name}", self._typed(value)
-        )
-        nodes.variables[name] = node
-        if reports is not None:
-            self._inputs[node.nodeid.to_string()] = reports  # before clients may write, so that no value is lost
-            await node.set_writable()
-
-    def _typed(self, value: Any) -> Any:
-        """Return a value with its type in OPC UA; None becomes an empty text."""
-        types = self._library.ua.VariantType
-        kind = {bool: types.Boolean, int: types.Int64}.get(type(value), types.String)
-        return self._library.ua.Variant("" if value is None else value, kind)
-
-    async def _person(self, path: str) -> _Nodes:
-        types, person = self._library.ua.VariantType, path.removeprefix("People/")
-        nodes = await self._object(path)
-        for name, value in (("Suggestion", ""), ("Finished", False), ("Seq", UNKNOWN), ("Answer", "")):
-            await self._variable(nodes, name, value)
-        await self._variable(nodes, "Action", "", lambda text: Reported(self._report(person, text)))
-        await self._variable(nodes, "Begin", "", lambda text: Reported(_begun(person, text)))
-        await nodes.object.add_method(
-            self._library.ua.NodeId(f"{path}/Report", self._space), f"{self._space}:Report",
-            partial(self._called, person),
-            [types.String, types.String, types.Int64], [types.String, types.String, types.Int64],
-        )  # fmt: skip
-        return nodes
-
-    async def _robot(self, path: str) -> _Nodes:
-        nodes, robot = await self._object(path), int(path.removeprefix("Robots/"))
-        for name in ("Person", "Suggestion"):
-            await self._variable(nodes, name, "")
-        await self._variable(nodes, "Arrived", "", lambda person: Located(robot, person))
-        return nodes
-
-    async def _remove(self, path: str) -> None:
-        nodes = self._nodes.pop(path, None)
-        if nodes is not None:
-            for node in nodes.variables.values():
-                self._inputs.pop(node.nodeid.to_string(), None)
-                self._last.pop(node.nodeid.to_string(), None)
-            await self._server.delete_nodes([nodes.object], recursive=True)
+            await self._nodes.remove(key)
+        else:
+            await self._nodes.show(key, content)
 
     # What is written and called.
 
@@ -190,15 +113,14 @@ class OwnServer(Transport):
         if not event.is_external:
             return
         for written, status in zip(event.request_params.NodesToWrite, event.response_params, strict=True):
-            node, value = written.NodeId.to_string(), written.Value.Value
-            if node not in self._inputs or not status.is_good() or value is None:
-                continue
-            before, self._last[node] = self._last.get(node), value.Value
-            if value.Value not in (None, "", before):
-                self.counts["values"] += 1
-                self._received.put_nowait(self._inputs[node](str(value.Value)))
+            value = written.Value.Value
+            if status.is_good() and value is not None:
+                message = self._nodes.written(written.NodeId.to_string(), value.Value)
+                if message is not None:
+                    self.counts["values"] += 1
+                    self._received.put_nowait(message)
 
-    async def _called(self, person: str, _: Any, action: Any, identifier: Any, seq: Any) -> list[Any]:
+    async def called(self, person: str, parent: Any, action: Any, identifier: Any, seq: Any) -> list[Any]:
         """Answer a call of `Report` with its status, a refusal's reason, and the number of the event."""
         self.counts["calls"] += 1
         report = self._report(person, str(action.Value or ""), identifier.Value or uuid.uuid4().hex)
@@ -208,7 +130,19 @@ class OwnServer(Transport):
         self._received.put_nowait(Reported(report, answered=partial(_resolve, answered)))
         answer: Answer = await answered
         seq_now = UNKNOWN if answer.seq is None else answer.seq
-        return [self._typed(value) for value in (answer.status, answer.detail or "", seq_now)]
+        return [self._nodes.typed(value) for value in (answer.status, answer.detail or "", seq_now)]
+
+    def acted(self, person: str, text: str) -> Message:
+        """Return what a text reports that was written."""
+        return Reported(self._report(person, text))
+
+    def begun(self, person: str, identifier: str) -> Message:
+        """Return the report that a person begins the next task; the value is its id."""
+        report = Report(person, identifier, "began")
+        if len(identifier) > LONGEST_ID:
+            why = f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}"
+            report = replace(report, id="", fault=why)
+        return Reported(report)
 
     def _report(self, person: str, text: str, identifier: str | None = None) -> Report:
         """Return what a text reports; a fault is part of it."""
@@ -242,15 +176,6 @@ class OwnServer(Transport):
         """Yield where a robot is to go and what it suggests there."""
         shown = {"Person": errand["person"], "Suggestion": errand["suggestion"]}
         yield Output(f"Robots/{robot}", shown, keep=True)
-
-
-def _begun(person: str, identifier: str) -> Report:
-    """Return the report that a person begins the next task; the value is its id."""
-    report = Report(person, identifier, "began")
-    if len(identifier) > LONGEST_ID:
-        why = f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}"
-        return replace(report, id="", fault=why)
-    return report
 
 
 def _resolve(answered: asyncio.Future[Answer], answer: Answer) -> None:
