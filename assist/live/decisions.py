@@ -22,7 +22,7 @@ from ..team.action_check import check
 from ..team.policies import named, prepare
 from ..team.policy_names import POLICIES
 from ..team.state import NOBODY, TeamPolicy, TeamState
-from .advice import Advice, Question
+from .advice import Advice, Question, Reason
 from .beliefs import reason_of
 from .decision_point import DecisionPoint
 from .live_questions import LiveQuestions
@@ -134,6 +134,11 @@ class Decisions:
                 advice[number] = self._sent(number, k, robot, points[number])
         return (advice[0].asking(question), *advice[1:])
 
+    def reason(self, number: int, k: int, robot: int) -> Reason:
+        """Return the reason for a robot's action towards the person at a place, in the numbers of the present."""
+        moving = float(self._places.cost(number, self._places.at[number])[k])
+        return reason_of(self._team, k, robot, moving, self._extra(number))
+
     def _asking(self, active: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Question | None]:
         """Return who may get a suggestion, as nothing is asked of them, and the question that is worth most."""
         if self._setting.c_ask is None or self._rule == "none":
@@ -151,7 +156,7 @@ class Decisions:
         """Return the advice of a robot that is sent from where it is to a person."""
         record, there = self._team.records[k], not self._places.takes_time(number, k)
         row, pomdp = self._team.row(record), record.problem.policy.pomdp
-        reason = reason_of(self._team, k, robot, float(point.moving[k]), self._extra(number))
+        reason = self.reason(number, k, robot)
         advice = Advice(record.name, pomdp.suggestion(row, robot), reason, arrived=there)
         return advice.explained_by(partial(point.suggested, k, robot, arrived=there))
 

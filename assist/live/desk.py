@@ -197,21 +197,13 @@ class Desk(Knowledge):
         This takes little time. The function may be called from another thread.
         """
         place = None if person is None else self.known(person).place
-        # The robot that attends to the person explains, or else one that attends to nobody, or else the first.
-        numbers = range(len(self._places.at))
-        mine = [number for number in numbers if self._places.at[number] == place]
-        idle = [number for number in numbers if not self._attends(number)]
-        number = next(iter([*mine, *idle]), 0)
-        location = self._places.at[number] if number in mine or number not in idle else BASE
+        number = self._explaining(place)
+        at_work = self._places.at[number] == place or self._attends(number)
+        location = self._places.at[number] if at_work else BASE
         return partial(
             self._decisions.point(number).explanation, place, None if location == BASE else location,
             arrived=not self._places.under_way[number], against=against,
         )  # fmt: skip
-
-    def _attends(self, number: int) -> bool:
-        """Return whether a robot, numbered from 0, is on its way, or at a person who has its suggestion."""
-        location = self._places.at[number]
-        return self._places.under_way[number] or (location != BASE and self.roster.robot[location] != 0)
 
     def person(self, person: str) -> PersonState:
         """Return the state of a person, present or not, and the belief about the person."""

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from itertools import chain
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,25 +44,10 @@ from .roster import Roster, RosterEntry, Step
 from .seen_suggestions import SeenSuggestions
 from .uncertain_actions import seen_of
 
+if TYPE_CHECKING:
+    from .event_base import TeamEvent
+
 Task = CostToGo | Goals | Policy
-
-
-class Change(Protocol):
-    """What changes what the robots know: an event of a team, as in `events`."""
-
-    @property
-    def concerned(self) -> str | None:
-        """The person whose state it may change."""
-
-    @property
-    def can_be_taken_back(self) -> bool:
-        """Whether it can be undone."""
-
-    def change(self, desk: Any, time: float) -> Any:
-        """Change what the robots know; return what was taken back, if anything."""
-
-    def take_back(self, desk: Any) -> Any:
-        """Undo it."""
 
 
 class Knowledge:
@@ -113,7 +99,7 @@ class Knowledge:
         """Use the tasks that another one with the same arguments has solved."""
         self._decisions.solved = other._decisions.solved
 
-    def take(self, event: Change, time: float = 0.0, *, number: int) -> Any:
+    def take(self, event: TeamEvent, time: float = 0.0, *, number: int) -> Any:
         """Apply an event with a number; return what was taken back, if anything.
 
         Raises
@@ -123,7 +109,7 @@ class Knowledge:
         """
         self.roster.event, self.roster.time = number, time
         self.roster.touched.clear()
-        found = event.change(self, time)
+        found = event.change(self, time)  # type: ignore[arg-type]  # each is a desk
         self._advice = None
         if event.concerned is not None:
             entry = self.entry(event.concerned)
@@ -312,7 +298,8 @@ class Knowledge:
     def take_back_action(self, person: str) -> str | None:
         """Take back a person's last action, as if it had not been observed, and return it.
 
-        The suggestion before it, if they had seen it, is open again. The robot stays where it is.
+        The suggestion before it, if they had seen it, is open again, for the reason that there is now. The robot stays
+        where it is.
 
         Returns
         -------
@@ -327,7 +314,22 @@ class Knowledge:
         record.news[:] = [replace(one, steps=min(one.steps, len(record.steps))) for one in record.news]
         record.close_questions()
         believe_again(roster, record, self.setting, place=last.place, offer=again)
+        if record.offer is not None and record.offer.reason is not None:
+            robot = record.offer.robot
+            roster.give_reason(record, self._decisions.reason(self._explaining(record.place), record.place, robot))
         return last.action
+
+    def _explaining(self, place: int | None) -> int:
+        """Return the number of the robot that attends to the person at a place, or to nobody, or else of the first."""
+        places = self._places
+        mine = (number for number, at in enumerate(places.at) if at == place)
+        idle = (number for number in range(len(places.at)) if not self._attends(number))
+        return next(chain(mine, idle), 0)
+
+    def _attends(self, number: int) -> bool:
+        """Return whether a robot, numbered from 0, is on its way, or at a person who has its suggestion."""
+        location = self._places.at[number]
+        return self._places.under_way[number] or (location != BASE and self.roster.robot[location] != 0)
 
     def follow(self, advice: Sequence[Advice], step: int) -> tuple[Advice, ...]:
         """Apply the advice of each robot, as decided or from a record, and return it.

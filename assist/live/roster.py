@@ -389,6 +389,10 @@ class Roster:
         robot = record.problem.robot(self.row(record), action)
         self._open(record, None if action is None else Offer(robot, action, reason, self.event, self.time))
 
+    def give_reason(self, record: RosterEntry, reason: Reason) -> None:
+        """Let the open suggestion to a person have another reason."""
+        self.offers[record.place] = self.offers[record.place]._replace(reason=reason)
+
     def _open(self, record: RosterEntry, offer: Offer | None) -> None:
         _set(self.offers, record.place, offer)
         self.robot[record.place] = 0 if offer is None else offer.robot

@@ -41,7 +41,10 @@ class PersonView(View):
     suggestion: Annotated[
         AnyText | None, Line(operator="Suggested: {value}"), Field(description="The open suggestion, in PDDL.")
     ] = None
-    reason: Annotated[Reason | None, Field(description="Why it was made, in the numbers of that decision.")] = None
+    reason: Annotated[
+        Reason | None,
+        Field(description="Why, in the numbers of the decision, or of the undo by which it is open again."),
+    ] = None
     cost_to_go: Annotated[
         AnyNumber | None,
         Field(description="Exact, in cost units; null in a dead end, and for participants unless the study shows it."),

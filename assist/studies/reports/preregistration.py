@@ -24,8 +24,8 @@ from ..userstudy.tables import Tables
 
 ANALYSIS = (
     "learning/intervals.py", "studies/statistics.py", "studies/repeated_measures.py",
-    *(f"studies/userstudy/{name}.py" for name in ("plan", "questionnaires", "outcomes", "tables", "csv_tables")),
-    *(f"studies/reports/userstudy_{name}.py" for name in ("data", "comparisons", "summary")),
+    *(f"studies/userstudy/{one}.py" for one in ("plan", "forms", "questionnaires", "outcomes", "tables", "csv_tables")),
+    *(f"studies/reports/userstudy_{one}.py" for one in ("data", "comparisons", "summary")),
 )  # fmt: skip
 """Files of the package on which the numbers of a report depend."""
 

@@ -684,3 +684,22 @@ def test_data_without_other_peoples_names() -> None:
     assert "ben" in str(found.as_dict())
     assert "ben" not in str(found.without_names().as_dict())
     assert found.as_dict()["against"]["difference"] is None
+
+
+def test_a_suggestion_that_is_open_again_after_an_undo_has_the_reason_that_its_explanation_has() -> None:
+    rng = np.random.default_rng(1)
+    team = Assistant(table("kitting/paper"), ["ann", "bob"], setting=SETTING)
+    while (advice := team.recommend()).reason is None or not advice.reason.moving:
+        for name in team.people:
+            team.observe(name, str(rng.choice(team.person(name).applicable)))
+    person = str(advice.person)
+    team.observe(person, team.person(person).applicable[-1])
+    team.undo(person)
+    offer, why = team.entry(person).offer, team.explain(person).now
+    assert offer is not None
+    assert offer.reason is not None
+    assert why is not None
+    assert offer.action == advice.suggestion
+    assert (offer.reason.moving, advice.reason.moving) == (0.0, 0.1), "the robot is there now"
+    assert offer.reason.score == pytest.approx(why.prospect.score, abs=1e-12)
+    assert offer.reason.beta == pytest.approx(advice.reason.beta, abs=1e-12), "the belief is the same as then"
