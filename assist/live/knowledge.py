@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,10 +44,25 @@ from .roster import Roster, RosterEntry, Step
 from .seen_suggestions import SeenSuggestions
 from .uncertain_actions import seen_of
 
-if TYPE_CHECKING:
-    from .event_base import TeamEvent
-
 Task = CostToGo | Goals | Policy
+
+
+class Change(Protocol):
+    """What changes what the robots know: an event of a team, as in `events`."""
+
+    @property
+    def concerned(self) -> str | None:
+        """The person whose state it may change."""
+
+    @property
+    def can_be_taken_back(self) -> bool:
+        """Whether it can be undone."""
+
+    def change(self, desk: Any, time: float) -> Any:
+        """Change what the robots know; return what was taken back, if anything."""
+
+    def take_back(self, desk: Any) -> Any:
+        """Undo it."""
 
 
 class Knowledge:
@@ -99,7 +114,7 @@ class Knowledge:
         """Use the tasks that another one with the same arguments has solved."""
         self._decisions.solved = other._decisions.solved
 
-    def take(self, event: TeamEvent, time: float = 0.0, *, number: int) -> Any:
+    def take(self, event: Change, time: float = 0.0, *, number: int) -> Any:
         """Apply an event with a number; return what was taken back, if anything.
 
         Raises
@@ -109,7 +124,7 @@ class Knowledge:
         """
         self.roster.event, self.roster.time = number, time
         self.roster.touched.clear()
-        found = event.change(self, time)  # type: ignore[arg-type]  # each is a desk
+        found = event.change(self, time)
         self._advice = None
         if event.concerned is not None:
             entry = self.entry(event.concerned)

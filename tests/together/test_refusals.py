@@ -48,7 +48,8 @@ from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.travel import Travel
-from assist.studies.userstudy.questionnaires import Item, Questionnaire
+from assist.studies.userstudy.forms import Item
+from assist.studies.userstudy.questionnaires import Questionnaire
 from assist.team.action_check import check
 from assist.team.common_random_numbers import BLOCK
 from assist.team.pool import Pool

@@ -23,10 +23,9 @@ from ...person.settings import Setting
 from ..plan_tables import among
 from ..statistics import FEW
 from ..userstudy.csv_tables import rows
-from ..userstudy.forms import FORMS
+from ..userstudy.forms import FORMS, Item
 from ..userstudy.plan import UserStudy, UserStudyPlan
 from ..userstudy.plan_file import read
-from ..userstudy.questionnaires import Item
 from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Tables, tables
 from . import report_files

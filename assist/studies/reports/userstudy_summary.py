@@ -11,9 +11,10 @@ from planner.system.files import finite
 
 from ...team.policy_names import hardly_assists
 from ..statistics import FEW, cronbach_alpha
+from ..userstudy.forms import Item
 from ..userstudy.outcomes import Row
 from ..userstudy.plan import UserStudy
-from ..userstudy.questionnaires import BEFORE, Item, Questionnaire
+from ..userstudy.questionnaires import BEFORE, Questionnaire
 from ..userstudy.tables import Tables
 from .userstudy_comparisons import cells, compared, likert, smallest_shown, worst_ranks
 from .userstudy_data import ALL, StudyData

@@ -17,8 +17,9 @@ from ...declare.declared import Count, Expected, Number, Seed, Text, Truth, Whol
 from ...people.ranges import Population
 from ...person.settings import Setting
 from .assignment import balanced_orders
+from .forms import Item
 from .outcomes import COUNTED
-from .questionnaires import BEFORE, END, Item, Questionnaire
+from .questionnaires import BEFORE, END, Questionnaire
 
 BETWEEN, WITHIN = "between", "within"
 """Kinds of design: a participant has one condition, or all of them in a counterbalanced order."""

@@ -17,8 +17,8 @@ from ...declare.catalogue import Catalogue
 from ...declare.declared import shown
 from ...declare.tables import convert, fault
 from ..plan_tables import different
-from .forms import FORMS, Workload
-from .questionnaires import BEFORE, END, Item, Questionnaire, forms
+from .forms import FORMS, Item, Workload
+from .questionnaires import BEFORE, END, Questionnaire, forms
 
 NAME = re.compile(r"[A-Za-z][\w-]{0,40}")
 ENDS = ("low", "high")

@@ -7,90 +7,17 @@ from statistics import fmean
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, Strict
+from pydantic import Field
 
 from ...declare.catalogue import Catalogue
-from ...declare.declared import Expected, Number, Text, Truth, Whole, declared
-from .forms import FORMS, Answer, Form, Likert, Workload
+from ...declare.declared import Text, Truth, declared
+from .forms import FORMS, Answer, Item, Several, Words, Workload
 
 STEP = 5
 """Step of the scales of NASA-TLX."""
 
 BEFORE, AFTER, END = "before", "after", "end"
 """When a questionnaire is shown: before practice, after the tasks of each condition, or once at the end."""
-
-Points = Annotated[Whole, Field(ge=2, le=11), Expected("a whole number from 2 to 11")]
-Words = Annotated[str, Strict(), Expected("a text")]
-Several = Annotated[tuple[Text, ...], Expected("a list of texts")]
-Correct = Annotated[Whole | Number | Text, Expected("an answer: a number or an option")]
-
-
-@declared
-class Item:
-    """A question."""
-
-    name: Annotated[Text, Field(description="Name in results.")]
-    text: Annotated[Text, Field(description="The question.")]
-    form: Annotated[Text, Field(description="The form of its answer; the questionnaire's unless given.")] = Likert.name
-    required: Annotated[Truth, Field(description="Whether an answer is required; unless given, except in words.")] = (
-        True
-    )
-    low: Annotated[Words, Field(description="Label of the lowest answer of a scale or slider.")] = ""
-    high: Annotated[Words, Field(description="Label of the highest answer.")] = ""
-    points: Annotated[Points, Field(description="Points of a Likert scale, which begins at 1.")] = 7
-    labels: Annotated[Several, Field(description="A label for each point, if not only the ends have one.")] = ()
-    min: Annotated[Number, Field(description="Smallest answer of a number or slider.")] = 0.0
-    max: Annotated[Number, Field(description="Largest answer.")] = 100.0
-    step: Annotated[Number, Field(description="Step between two answers.")] = 1.0
-    options: Annotated[Several, Field(description="What can be chosen.")] = ()
-    reversed: Annotated[Truth, Field(description="Whether a high answer means a low score.")] = False
-    correct: Annotated[
-        Correct | None, Field(description="The answer that an attention check asks for; it is part of no score.")
-    ] = None
-    conditions: Annotated[
-        Several, Field(description="The conditions in which it is asked, and then part of no score; unless given, all.")
-    ] = ()
-
-    @property
-    def kind(self) -> Form:
-        """The form of its answer."""
-        return FORMS[self.form]
-
-    @property
-    def ends(self) -> tuple[float, float, float]:
-        """Smallest and largest number that can be answered, and the step between two numbers."""
-        return self.kind.ends(self)
-
-    @property
-    def is_scored(self) -> bool:
-        """Whether the answer is a number that is part of the results; attention checks are not."""
-        return self.kind.is_number and self.correct is None
-
-    def check(self, answer: Any) -> Answer:
-        """Return the answer. None, an empty text and an empty list mean that there is none.
-
-        Raises
-        ------
-        ValueError
-            The answer is invalid, or there is none to a required question; the message says what is expected.
-        """
-        none = answer in (None, "", []) and not isinstance(answer, bool)
-        if none and not self.required:
-            return self.kind.empty
-        if none or not self.kind.is_valid(self, answer):
-            raise ValueError(f"expected {self.kind.expected(self)}")
-        return self.kind.kept(self, answer)
-
-    def score(self, answer: Answer) -> float | None:
-        """Return the score of an answer, recoded if the item is reversed; None if the answer is not a number."""
-        if not isinstance(answer, int | float):
-            return None
-        low, high, _ = self.ends
-        return low + high - answer if self.reversed else answer
-
-    def passed(self, answer: Answer) -> bool | None:
-        """Return whether an attention check was answered correctly; None for other items."""
-        return None if self.correct is None else answer == self.correct
 
 
 @declared

@@ -15,9 +15,9 @@ from ...live.simulated_person import SimulatedPerson
 from ...live.team import Team
 from .assignment import assign
 from .codes import drawn
+from .forms import Item
 from .participant_team import ParticipantTeam, Subs
 from .plan import Stage, UserStudy
-from .questionnaires import Item
 from .roll import Participant, Roll
 
 Facts = dict[str, Any]

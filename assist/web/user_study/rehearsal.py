@@ -20,8 +20,7 @@ from planner import CostToGo
 from planner.system.progress import Progress, adding
 
 from ...live.simulated_person import SimulatedPerson
-from ...studies.userstudy.forms import Answer, Rehearsed
-from ...studies.userstudy.questionnaires import Item
+from ...studies.userstudy.forms import Answer, Item, Rehearsed
 from ...studies.userstudy.session import StudySession
 from ..client import Client
 from .service import StudyService

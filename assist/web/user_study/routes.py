@@ -14,8 +14,8 @@ from fastapi import APIRouter, Depends, Request, Response
 from ...declare.catalogue import catalogue
 from ...declare.refusals import Refusal
 from ...studies.userstudy.export import archive
+from ...studies.userstudy.forms import Item
 from ...studies.userstudy.plan import UserStudy
-from ...studies.userstudy.questionnaires import Item
 from ...studies.userstudy.views import Progress
 from .. import cookies
 from ..authorization import READ, WRITE, Operator, Own, refusals
