@@ -89,8 +89,8 @@ def rules(
         task, file, inputs = log.found()
         separate_files({"--out": files.out}, inputs)
         seen = with_task(task, file, reading, setting)
-        carry, graph = not setting.theta_per_episode, setting.neighbours
-        compared = rules_compared(seen, seen.log.name, method, folds, carry=carry, beside=trust, graph=graph)
+        carry = not setting.theta_per_episode
+        compared = rules_compared(seen, seen.log.name, method, folds, carry=carry, beside=trust)
         show_comparison(compared, files)
     if not seen.complete:
         sys.exit(ExitCode.FAILED)

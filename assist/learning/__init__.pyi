@@ -29,6 +29,7 @@ from .log import Log as Log
 from .log import read_log as read_log
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
 from .misconception_fit import fit_misconception as fit_misconception
+from .neighbours_in_logs import seen_families as seen_families
 from .neighbours_in_logs import with_neighbours as with_neighbours
 from .observations import EvaluatedStates as EvaluatedStates
 from .observations import Observations as Observations
@@ -42,7 +43,6 @@ from .population import fit_population as fit_population
 from .replay import Recording as Recording
 from .replay import replay as replay
 from .rule_families import RuleFamily as RuleFamily
-from .rule_families import seen_families as seen_families
 from .trust_fit import Influence as Influence
 from .trust_fit import InfluenceFit as InfluenceFit
 from .trust_fit import fit_influence as fit_influence

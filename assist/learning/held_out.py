@@ -27,6 +27,7 @@ from .hierarchy import pooled
 from .likelihood import Method
 from .likelihood_table import LikelihoodTable
 from .logit_likelihood import Likelihood
+from .neighbours_in_logs import with_neighbours
 from .observations import Observations
 from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
@@ -139,7 +140,7 @@ def compare_rules(
     """
     assert callable(progress)
     method = method or Method()
-    people = people if isinstance(people, AdviceLog) else observations_of(people)
+    people = people if isinstance(people, AdviceLog) else with_neighbours(people, method.neighbours)
     if isinstance(people, AdviceLog):
         names, choices = tuple(people.people), people.counts
         folds_of(len(names), folds)

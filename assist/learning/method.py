@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from ..declare.declared import Number, Seed, declared
+from ..people.neighbours import Watched
 
 LARGE = 1e9
 """Squares and products of smaller parameters stay within floating-point range."""
@@ -46,4 +47,5 @@ class Method:
     misconception_memory_mb: Annotated[
         Number, Field(gt=0, description="Largest memory of one person's misconceptions, in MB.")
     ] = 500.0
+    neighbours: Watched = None
     seed: Annotated[Seed, Field(description="Random seed of the model check.")] = 0

@@ -1,4 +1,4 @@
-"""What people saw of suggestions to their neighbours, from the log of a team, for estimates of how it moved them.
+"""What people saw of suggestions to their neighbours, from the log of a team, and the rules by which it moved them.
 
 Who were a team, and who acted when, follows from columns of the log. With `order`, all of the log is of one team, whose
 events it numbers, as the log of a live team has it; `since` is the number when the person came. Without it people who
@@ -15,27 +15,27 @@ import numpy as np
 
 from ..people.decision import NOTHING
 from ..people.neighbourhood import Neighbourhood
-from ..people.neighbours import Neighbours, name_of
+from ..people.neighbours import SEEN_RULES, Neighbours, WithSeen
 from ..people.sights import Acting, Helping, Sights
 from ..people.trust_rules import TrustRule
 from .evidence import Evidence, observations_of
 from .log import Entry
 from .observations import Ints, Observations
-from .rule_families import RuleFamily, seen_families
+from .rule_families import RuleFamily
 
 BEFORE_ALL = -(2**63)
 """Number before that of every action: a person is there from the beginning."""
 
 
-def with_neighbours(evidence: Evidence, neighbours: Neighbours | None) -> list[Observations]:
+def with_neighbours(people: Evidence | Sequence[Observations], neighbours: Neighbours | None) -> Sequence[Observations]:
     """Return each person's observations, with what they saw of neighbours.
 
     Their places are those in the log or, if it has none, follow from the order of their names.
 
     Parameters
     ----------
-    evidence : Evidence
-        A replayed log, in the task of one goal.
+    people : Evidence, or sequence of Observations
+        A replayed log, in the task of one goal; or observations, which are returned as they are.
     neighbours : Neighbours or None
         Who sees whom; whatever the rule is.
 
@@ -44,51 +44,48 @@ def with_neighbours(evidence: Evidence, neighbours: Neighbours | None) -> list[O
     ValueError
         Each episode has one of several goals, or the graph has fewer stations than the log.
     """
-    people = evidence.observations()
-    if neighbours is None:
-        return people
-    places = _places(evidence, people)
+    each = observations_of(people)
+    if neighbours is None or not isinstance(people, Evidence):
+        return each
+    places = _places(people, each)
     graph = Neighbourhood(neighbours.rule, neighbours.weights(1 + max(places.values(), default=0)))
     if not graph.watched.any():
-        return people
-    if evidence.goals:
+        return each
+    if people.goals:
         raise ValueError("neighbours: expected a log whose goal is known")
-    entries = {(*one.names, one.step): one for one in evidence.log.entries}
-    steps = [evidence.recording.step[evidence.recording.person == number] for number in range(len(people))]
-    acts = [_acts(o, step, entries, places) for o, step in zip(people, steps, strict=True)]
+    entries, recording = {(*one.names, one.step): one for one in people.log.entries}, people.recording
+    steps = [recording.step[recording.person == number] for number in range(len(each))]
+    acts = [_acts(o, step, entries, places) for o, step in zip(each, steps, strict=True)]
     told: dict[str, list[Helping]] = {}
-    for o, own in zip(people, acts, strict=True):
+    for o, own in zip(each, acts, strict=True):
         gained = o.cost_to_go - o.ahead[np.arange(len(o)), o.chosen]
         for row in own.heard.tolist():
             followed = bool(o.chosen[row] == o.suggested[row])
             one = Helping(int(own.order[row]), own.place[row], float(gained[row]), followed)
             told.setdefault(own.team[row], []).append(one)
-    return [replace(o, seen=Sights.among(own, told, graph)) for o, own in zip(people, acts, strict=True)]
+    return [replace(o, seen=Sights.among(own, told, graph)) for o, own in zip(each, acts, strict=True)]
 
 
-def seen_by(
-    people: Evidence | Sequence[Observations], seen: str | Neighbours | None, own: TrustRule | RuleFamily
-) -> tuple[Sequence[Observations], RuleFamily]:
-    """Return people's observations and the family of rules by which their theta moves.
+def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
+    """Return the rules by which theta moves by what is seen of neighbours, by name, beside a rule of one's own.
+
+    "none" is the person's own rule alone.
 
     Parameters
     ----------
-    people : Evidence, or sequence of Observations
-    seen : str, Neighbours or None
-        The name of the rule of what was seen; or who sees whom in a replayed log, with this rule.
     own : TrustRule or RuleFamily
-        How theta moves by suggestions to oneself.
-
-    Raises
-    ------
-    ValueError
-        There is no such rule; or as in `with_neighbours`.
+        How theta moves by suggestions to oneself: a rule, or a family whose parameters are estimated as well.
     """
-    name, every = seen if isinstance(seen, str) else name_of(seen), seen_families(own)
-    if name not in every:
-        raise ValueError(f"seen '{name}': expected one of {', '.join(every)}")
-    graph = seen if isinstance(seen, Neighbours) else None
-    return with_neighbours(people, graph) if isinstance(people, Evidence) else observations_of(people), every[name]
+    mine = own if isinstance(own, RuleFamily) else RuleFamily.of(own)
+    return {
+        name: RuleFamily(
+            WithSeen.maker(mine.make, seen), {**mine.ranges, **seen.estimated},
+            tuple((*one, *other) for one in mine.tried for other in seen.tried), mine.logarithms,
+            f", neighbours {name}",
+        )
+        if seen.estimated else mine
+        for name, seen in SEEN_RULES.items()
+    }  # fmt: skip
 
 
 def _places(evidence: Evidence, people: Iterable[Observations]) -> Mapping[tuple[str, str], int]:

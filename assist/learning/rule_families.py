@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
-from ..people.neighbours import SEEN_RULES, WithSeen, parts_of
 from ..people.trust_rules import RULES, TrustRule, constant, fields_of, fitted_of
 from .intervals import Interval
 from .likelihood import Method
@@ -74,29 +73,8 @@ def families(method: Method) -> dict[str, RuleFamily]:
 
 
 def parameters_of(rule: TrustRule) -> dict[str, float]:
-    """Return the numbers that a rule has, by name; a theta that never moves has none."""
-    parts = [part for part in parts_of(rule) if part != constant()]
-    numbers = [(name, value) for part in parts for name, value in vars(part).items()]
-    return {name: float(value) for name, value in numbers if type(value) in (int, float)}
-
-
-def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
-    """Return the rules by which theta moves by what is seen of neighbours, by name, beside a rule of one's own.
-
-    "none" is the person's own rule alone.
-
-    Parameters
-    ----------
-    own : TrustRule or RuleFamily
-        How theta moves by suggestions to oneself: a rule, or a family whose parameters are estimated as well.
-    """
-    mine = own if isinstance(own, RuleFamily) else RuleFamily.of(own)
-    return {
-        name: RuleFamily(
-            WithSeen.maker(mine.make, seen), {**mine.ranges, **seen.estimated},
-            tuple((*one, *other) for one in mine.tried for other in seen.tried), mine.logarithms,
-            f", neighbours {name}",
-        )
-        if seen.estimated else mine
-        for name, seen in SEEN_RULES.items()
-    }  # fmt: skip
+    """Return the numbers that a rule and its parts have, by name; a theta that never moves has none."""
+    own = {} if rule == constant() else vars(rule)
+    parts = [parameters_of(part) for part in own.values() if hasattr(part, "update") and hasattr(part, "__dict__")]
+    numbers = {name: float(value) for name, value in own.items() if type(value) in (int, float)}
+    return {name: value for part in (numbers, *parts) for name, value in part.items()}

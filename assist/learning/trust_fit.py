@@ -21,7 +21,7 @@ from scipy.special import expit, logit
 from planner.system.results import Result
 
 from ..people.decision import Floats
-from ..people.neighbours import Neighbours
+from ..people.neighbours import name_of
 from ..people.trust_rules import TrustRule, plain_rule
 from .distribution import Margin, PopulationFit
 from .evidence import Evidence
@@ -29,7 +29,7 @@ from .influence_population import InfluencePopulation
 from .intervals import Interval, equal_tailed
 from .likelihood import Method
 from .likelihood_table import LikelihoodTable
-from .neighbours_in_logs import seen_by
+from .neighbours_in_logs import seen_families, with_neighbours
 from .observations import Observations
 from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
@@ -134,7 +134,7 @@ class InfluenceFit(Result):
 
 def fit_influence(
     observations: Evidence | Sequence[Observations], rule: str | TrustRule | RuleFamily, method: Method | None = None,
-    *, seen: str | Neighbours | None = None, carry: bool = True,
+    *, carry: bool = True,
 ) -> InfluenceFit:  # fmt: skip
     """Return each person's influence under a trust rule.
 
@@ -147,10 +147,8 @@ def fit_influence(
     rule : str, TrustRule or RuleFamily
         The name of a shipped rule, whose parameters are estimated; or a rule, taken unchanged; or a family of rules.
     method : Method, optional
-        Level of the intervals, lapse, and what is known beforehand.
-    seen : str or Neighbours, optional
-        Name of the rule by which theta also moves by what people saw of neighbours (`with_neighbours`), whose
-        parameters are estimated, too; one of `seen_families`. Or who sees whom in a replayed log, with this rule.
+        Level of the intervals, lapse, and what is known beforehand. With neighbours, theta also moves by the rule of
+        this name, whose parameters are estimated, too.
     carry : bool
         Whether theta is carried from episode to episode, in the order of their names.
 
@@ -165,9 +163,9 @@ def fit_influence(
     known = families(method)
     if isinstance(rule, str) and rule not in known:
         raise ValueError(f"trust '{rule}': expected one of {', '.join(known)}, or a rule")
-    of_name = known[rule] if isinstance(rule, str) else rule
-    people_seen, family = seen_by(observations, seen, of_name)
-    log = LikelihoodTable.of_advised(people_seen, method, carry=carry)
+    own = known[rule] if isinstance(rule, str) else rule
+    family = seen_families(own)[name_of(method.neighbours)]
+    log = LikelihoodTable.of_advised(with_neighbours(observations, method.neighbours), method, carry=carry)
     search = RuleSearch(log, family, carry)
     values, intervals = search.best(), {}
     # A person's belief is averaged over what the parameters of the rule may be: with the best ones alone, intervals of

@@ -25,7 +25,6 @@ from ...declare.declared import (
 )
 from ...learning.method import Method
 from ...live.live_setting import LiveSetting
-from ...people.neighbours import Watched
 from ...people.ranges import Population
 from ...people.real_people import advice_takers
 from ...people.user_code import function_beside
@@ -220,7 +219,6 @@ class EstimateSetting(Method, ReadingSetting):
     theta_per_episode: Annotated[Truth, Field(description="Whether influence (theta) begins anew in each episode.")] = (
         False
     )
-    neighbours: Watched = None
     confidence: Annotated[
         Literal["own", "one"],
         Field(

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ...learning.comparison import Comparison
     from ...learning.evidence import Evidence
     from ...learning.likelihood import Method
-    from ...people.neighbours import Neighbours
 
 
 def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
@@ -34,24 +33,21 @@ def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
 
 
 def rules_compared(
-    people: Evidence | AdviceLog, name: str, method: Method, folds: int, *, carry: bool,
-    beside: str | None = None, graph: Neighbours | None = None,
-) -> Comparison:  # fmt: skip
+    people: Evidence | AdviceLog, name: str, method: Method, folds: int, *, carry: bool, beside: str | None = None
+) -> Comparison:
     """Compare trust rules on the people of a file with this name, or rules of what they see of others beside one.
 
     Expected errors end the command in one line.
     """
-    from ...learning.evidence import Evidence
     from ...learning.held_out import REFERENCE, compare_rules
-    from ...learning.neighbours_in_logs import with_neighbours
-    from ...learning.rule_families import families, seen_families
+    from ...learning.neighbours_in_logs import seen_families
+    from ...learning.rule_families import families
 
     rules, reference = (None, REFERENCE) if beside is None else (seen_families(families(method)[beside]), "none")
     try:
-        some = with_neighbours(people, graph) if isinstance(people, Evidence) else people
         with stages() as show:
             return compare_rules(
-                some, method, rules=rules, reference=reference, folds=folds, carry=carry, progress=show
+                people, method, rules=rules, reference=reference, folds=folds, carry=carry, progress=show
             )
     except ValueError as error:
         fail(f"{name}: {error}", ExitCode.FAILED)

@@ -25,7 +25,7 @@ def show_influence(seen: Evidence, rule: str, method: Method, setting: EstimateS
     from ...learning.trust_fit import fit_influence
 
     try:
-        found = fit_influence(seen, rule, method, seen=setting.neighbours, carry=not setting.theta_per_episode)
+        found = fit_influence(seen, rule, method, carry=not setting.theta_per_episode)
     except ValueError as error:
         fail(f"{seen.log.name}: {error}", ExitCode.FAILED)
     if files.population:

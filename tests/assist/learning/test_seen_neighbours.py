@@ -258,7 +258,8 @@ def test_several_goals_are_refused_and_a_log_without_places_has_the_order_of_nam
     evidence = replayed({"own": tiny, "other": tiny}, trace)
     with pytest.raises(ValueError, match="neighbours: expected a log whose goal is known"):
         with_neighbours(evidence, graph)
-    with pytest.raises(ValueError, match="seen 'contagion': expected one of none, outcome, followed, steps"):
-        fit_influence(found, "constant", seen="contagion")
+    own: Any = FallsAfterThree()
+    with pytest.raises(ValueError, match=r"neighbours\.rule: FallsAfterThree; expected one of none, outcome, followed"):
+        fit_influence(found, "constant", Method(neighbours=Neighbours(rule=own)))
     with pytest.raises(ValueError, match="expected 'constant' among them"):
         compare_rules(found, rules=seen_families(constant()))
