@@ -123,8 +123,7 @@ def simulate(
             if files.figure:
                 shown = Illustration.of(made.pool, one, results[-1], **options)
                 alone = None if name == "none" else shown.alone
-                seen = made.pool.setting.neighbourhood(humans)
-                style.save(episode_figure(shown.episode, shown.trace, alone, seen), files.figure)
+                style.save(episode_figure(shown.episode, shown.trace, alone, shown.links), files.figure)
     if files.out:
         write_records(files.out, (episode.record() for result in results for episode in result))
     if files.trace:

@@ -9,9 +9,10 @@ from ..person.travel import Travel
 from .episodes import Episode, Episodes
 from .goal_knowledge import GoalKnowledge
 from .pool import Pool
+from .seen import sights
 from .simulate import simulate
 from .state import TeamPolicy
-from .trace import Trace
+from .trace import Link, Trace
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,14 @@ class Illustration:
         Trace of `simulate`.
     alone : list
         Trace of the same episode without a robot.
+    links : tuple of Link
+        Who saw which suggestion to somebody else.
     """
 
     episode: Episode
     trace: Trace
     alone: Trace
+    links: tuple[Link, ...] = ()
 
     @classmethod
     def of(
@@ -51,7 +55,7 @@ class Illustration:
             simulate(
                 pool, one, humans=humans, episodes=[shown.episode], seed=seed, travel=travel, goals=goals, trace=trace
             )
-        return cls(shown, *traces)
+        return cls(shown, *traces, tuple(sights(traces[0], pool.setting.neighbourhood(len(shown.people)))))
 
 
 def typical(helped: Episodes, alone: Episodes) -> Episode:

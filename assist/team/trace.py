@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from .state import TeamPolicy, TeamState
 
 Trace = list[dict[str, Any]]
 """A list with one dictionary for each action of each person."""
+
+
+class Link(NamedTuple):
+    """Something between two people at a step: from the one at `place` to the one at `to`, with a weight from 0 to 1."""
+
+    step: int
+    place: int
+    to: int
+    weight: float
 
 
 class Reasons(Protocol):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from ...people.neighbourhood import NOBODY_SEES, Neighbourhood
 from ...team.episodes import Episode
-from ...team.trace import Trace
+from ...team.trace import Link, Trace
 from .style import (
     BLUE,
     GREEN,
@@ -29,9 +29,7 @@ if TYPE_CHECKING:
 
 
 @styled
-def episode_figure(
-    episode: Episode, trace: Trace, alone: Trace | None = None, seen: Neighbourhood = NOBODY_SEES
-) -> Figure:
+def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None, links: Sequence[Link] = ()) -> Figure:
     """Plot one episode: each person's cost-to-go over time, the suggestions, and where the robot was.
 
     Parameters
@@ -42,8 +40,8 @@ def episode_figure(
         The episode's actions, as `simulate` traces them.
     alone : list of dict, optional
         The actions of the same episode without a robot, plotted for comparison.
-    seen : Neighbourhood
-        What people see of each other. A line leads from each suggestion to the stations of those who saw it.
+    links : sequence of Link
+        Lines between stations: from each suggestion to those who saw it.
 
     Raises
     ------
@@ -79,10 +77,10 @@ def episode_figure(
         whole_numbers(axis.yaxis, nbins=4)
         whole_numbers(axis.xaxis)
         axis.grid(axis="y")
-    _seen(figure, dict(zip(places, axes, strict=True)), trace, seen)
+    _links(figure, dict(zip(places, axes, strict=True)), trace, links)
     axes[len(axes) // 2].set_ylabel("cost-to-go")
     axes[-1].set_xlabel("step (in each, every person acts once)")
-    figure.legend(handles=_entries(bool(alone), bool(seen.watched.any())), loc="lower center", ncols=3)
+    figure.legend(handles=_entries(bool(alone), bool(links)), loc="lower center", ncols=3)
     return figure
 
 
@@ -103,24 +101,19 @@ def _panel(axis: Axes, place: int, rows: Trace, alone: Trace) -> None:
         axis.plot([rows[-1]["step"] + 1], [0], marker="o", markersize=7, color=BLUE, zorder=6, clip_on=False)
 
 
-def _seen(figure: Figure, axes: dict[int, Axes], trace: Trace, seen: Neighbourhood) -> None:
-    """Draw a line from each suggestion to the stations of those who saw it and went on; its weight is its opacity."""
+def _links(figure: Figure, axes: dict[int, Axes], trace: Trace, links: Sequence[Link]) -> None:
+    """Draw lines between stations; the weight of each is its opacity."""
     from matplotlib.patches import ConnectionPatch
 
     height = {(row["place"], row["step"]): row["cost_to_go"] or 0 for row in trace}
-    last = {row["place"]: row["step"] for row in trace}
-    for row in trace:
-        here, step = row["place"], row["step"]
-        for place, axis in axes.items():
-            weight = seen.seen_from(place).get(here, 0.0)
-            if row["suggestion"] and weight > 0 and last[place] > step:
-                line = ConnectionPatch(
-                    (step + 0.5, height[here, step]), (step + 0.5, height[place, step]), "data", "data",
-                    axesA=axes[here], axesB=axis, color=VERMILLION, linewidth=0.9,
-                    alpha=0.15 + 0.55 * weight,
-                )  # fmt: skip
-                line.set_gid("seen")
-                figure.add_artist(line)
+    for one in links:
+        ends = ((one.step + 0.5, height[place, one.step]) for place in (one.place, one.to))
+        line = ConnectionPatch(
+            *ends, "data", "data", axesA=axes[one.place], axesB=axes[one.to], color=VERMILLION, linewidth=0.9,
+            alpha=0.15 + 0.55 * one.weight,
+        )  # fmt: skip
+        line.set_gid("link")
+        figure.add_artist(line)
 
 
 def _about(axis: Axes, episode: Episode, place: int, rows: Trace, alone: Trace) -> None:
@@ -152,7 +145,7 @@ def _short(name: str, most: int = 80) -> str:
     return name if len(name) <= most else f"{name[: most - 1]}…"
 
 
-def _entries(alone: bool, seen: bool) -> list[Artist]:
+def _entries(alone: bool, links: bool) -> list[Artist]:
     """Return the entries of the legend."""
     told: dict[str, Any] = {"marker": "v", "markersize": 8, "color": GREEN}
     return [
@@ -161,7 +154,7 @@ def _entries(alone: bool, seen: bool) -> list[Artist]:
         robot_entry(),
         entry("suggestion, followed", **told),
         entry("suggestion, not followed", markerfacecolor="white", **told),
-        *([entry("seen by a neighbour", color=VERMILLION, linewidth=0.9)] if seen else []),
+        *([entry("seen by a neighbour", color=VERMILLION, linewidth=0.9)] if links else []),
     ]
 
 

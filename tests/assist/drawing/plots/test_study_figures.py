@@ -21,7 +21,6 @@ from assist.drawing.plots.study import COMPARISONS
 from assist.drawing.plots.style import LOOKS, PolicyLook, looks, save_for_pages
 from assist.drawing.plots.trade_off import trade_off_figure
 from assist.people.choices import Choices
-from assist.people.neighbourhood import Neighbourhood
 from assist.people.neighbours import Neighbours
 from assist.people.ranges import Population
 from assist.person.settings import Setting
@@ -29,6 +28,7 @@ from assist.team.attention import AttentionSwitching
 from assist.team.baselines import NoAssistance
 from assist.team.belief_trace import beliefs_of_episode
 from assist.team.pool import Pool
+from assist.team.seen import sights
 from assist.team.simulate import simulate
 from assist.team.trace import Trace
 
@@ -431,14 +431,14 @@ def test_lines_between_stations_say_who_saw_a_suggestion(tiny_choices: Choices) 
     pool = Pool.sample(tiny_choices, 3, seed=2, setting=Setting(c_suggest=0.0, c_move=0.0, neighbours=neighbours))
     trace = Trace()
     [episode] = simulate(pool, "attention", humans=3, episodes=[0], seed=7, trace=trace)
-    figure = episode_figure(episode, trace, None, Neighbourhood.of(neighbours, 3))
-    lines = [one for one in figure.artists if one.get_gid() == "seen"]
+    figure = episode_figure(episode, trace, None, list(sights(trace, pool.setting.neighbourhood(3))))
+    lines = [one for one in figure.artists if one.get_gid() == "link"]
     last = {row["place"]: row["step"] for row in trace}
     told = [(row["place"], row["step"]) for row in trace if row["suggestion"]]
     expected = sum(abs(k - place) == 1 and last[k] > step for place, step in told for k in range(3))
     assert len(lines) == expected > 0
     assert "seen by a neighbour" in [text.get_text() for text in figure.legends[0].get_texts()]
-    assert not [one for one in episode_figure(episode, trace).artists if one.get_gid() == "seen"]
+    assert not [one for one in episode_figure(episode, trace).artists if one.get_gid() == "link"]
 
 
 @pytest.mark.parametrize("people", [1, 3, 12])
