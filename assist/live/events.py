@@ -378,4 +378,8 @@ class Witnessed(Kept):
 
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
         """Move what is believed of those who saw it."""
-        desk.seen.let_see(desk.entry(self.person), self.shown)
+        entry = desk.entry(self.person)
+        if self.shown is None:
+            desk.seen.take_back(entry)
+        else:
+            desk.seen.let_see(entry, self.shown)

@@ -323,7 +323,7 @@ class Knowledge:
         """
         record = self.known(person)
         if self.seen.was_shown(record):
-            self.seen.let_see(record, None)
+            self.seen.take_back(record)
         last, roster = record.undo(), self.roster
         again = None if last.offer is None else last.offer._replace(number=roster.event, time=roster.time)
         record.news[:] = [replace(one, steps=min(one.steps, len(record.steps))) for one in record.news]

@@ -14,6 +14,7 @@ from ..declare.declared import MOST
 from ..declare.refusals import Refusal
 from ..people.belief import moved as believed
 from ..people.decision import NOTHING, Floats
+from ..people.neighbourhood import NOBODY_SEES
 from ..people.neighbours import SeenEvent, parts_of
 from ..people.trust_rules import TrustRule
 from ..person.settings import Setting
@@ -30,7 +31,7 @@ Shown = tuple[bool, float]
 class Saw(News):
     """What a person saw of a neighbour's suggestion.
 
-    `neighbour` is the name, and `number` counts what was seen of this neighbour from 1.
+    `neighbour` is the name, and `number` that of the event.
     """
 
     neighbour: str
@@ -70,9 +71,7 @@ class SeenSuggestions:
     """
 
     def __init__(self, team: Roster, setting: Setting) -> None:
-        self._team, self._setting = team, setting
-        # For each place, when something was shown of the person: the numbers of their tasks and of their actions then.
-        self._shown: dict[int, list[tuple[int, int]]] = {}
+        self._team, self._setting, self._room, self._of_all = team, setting, 0, NOBODY_SEES
 
     def make_room(self, people: int) -> None:
         """Let a number of people see each other.
@@ -82,7 +81,11 @@ class SeenSuggestions:
         ValueError
             The graph has no station for one of them.
         """
-        self._team.beliefs.neighbours = self._setting.neighbourhood(people).believed
+        graph = self._setting.neighbours
+        if people > self._room and graph is not None:  # with room for more, as a graph of many takes time
+            self._room = max(people, min(2 * people, graph.stations))
+            self._of_all = self._setting.neighbourhood(self._room).believed
+        self._team.beliefs.neighbours = self._of_all.first(people)
 
     def require_all_seen(self) -> None:
         """Check that robots need not know what people see of each other, of whom an action is uncertain.
@@ -136,25 +139,33 @@ class SeenSuggestions:
         gain = float(gained(problem.policy, np.array([row]), np.array([problem.after(row, slot)]))[0])
         return slot == suggested, min(max(gain, -MOST), MOST)
 
-    def let_see(self, record: RosterEntry, what: Shown | None) -> None:
-        """Let those who are present and see a person see what came of a suggestion; None takes back what was last."""
-        shown = self._shown.setdefault(record.place, [])
-        if what is None:
-            last = record.name, len(shown)
-            shown.pop()
-            for other in self._team.records:
-                kept = [one for one in other.news if not (isinstance(one, Saw) and (one.neighbour, one.number) == last)]
-                if len(kept) < len(other.news):
-                    other.news[:] = kept
-                    believe_again(self._team, other, self._setting, offer=other.offer)
-            return
-        shown.append((len(record.tasks), len(record.steps)))
+    def let_see(self, record: RosterEntry, what: Shown) -> None:
+        """Let those who are present and see a person see what came of a suggestion."""
         for other, weight in self.onlookers(record):
-            one = Saw(len(other.steps), record.name, len(shown), *what, weight)
+            one = Saw(len(other.steps), record.name, self._team.event, *what, weight)
             one.tell(self._team, other, self._setting)
             other.news.append(one)
             self._team.changed(other)
 
+    def take_back(self, record: RosterEntry) -> None:
+        """Let nobody have seen what they saw last of a person."""
+        last = self._last(record)
+        for other in self._team.records:
+            gone = [one for one in self._seen(other) if (one.neighbour, one.number) == (record.name, last)]
+            if gone:
+                other.news[:] = [one for one in other.news if one not in gone]
+                believe_again(self._team, other, self._setting, offer=other.offer)
+
     def was_shown(self, record: RosterEntry) -> bool:
-        """Return whether neighbours may have seen the last action of a person in their task."""
-        return (len(record.tasks), len(record.steps)) in self._shown.get(record.place, ())[-1:]
+        """Return whether somebody has seen the last action of a person in their task."""
+        return len(record.steps) > 0 and record.order[-1] == self._last(record)
+
+    def _last(self, record: RosterEntry) -> int:
+        """Return the number of the last event of a person that somebody has seen; -1 if nobody has seen anything."""
+        seen = (one for other in self._team.records for one in self._seen(other))
+        return max((one.number for one in seen if one.neighbour == record.name), default=-1)
+
+    @staticmethod
+    def _seen(record: RosterEntry) -> list[Saw]:
+        """Return what a person has seen in their task."""
+        return [one for one in record.news if isinstance(one, Saw)]

@@ -18,7 +18,7 @@ Proof. Let b_k be the belief about person k.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -148,6 +148,10 @@ class Neighbourhood:
     def watched(self) -> Bools:
         """Whether anybody sees each person, shape (K,)."""
         return frozen(np.any(self.sees > 0, axis=0))
+
+    def first(self, places: int) -> Neighbourhood:
+        """Return what people at the first places see of each other."""
+        return replace(self, sees=self.sees[:places, :places])
 
     @property
     def needs_all_seen(self) -> bool:

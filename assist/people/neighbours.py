@@ -20,6 +20,7 @@ the largest theta after an event, both of which rise with theta. A bound with an
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
@@ -313,6 +314,11 @@ class Neighbours:
                     f"matrix: row {k + 1} is {list(row)}; expected as many numbers from 0 to 1 as there are rows, and "
                     "0 on the diagonal"
                 )
+
+    @property
+    def stations(self) -> int:
+        """The largest number of stations."""
+        return sys.maxsize if self.matrix is None else len(self.matrix)
 
     def weights(self, places: int) -> Floats:
         """Return the weight with which each station sees each other one, shape (K, K); 0 for those that do not.

@@ -13,8 +13,10 @@ from assist.declare import Refusal
 from assist.live.assistant import Assistant
 from assist.live.explanation import Remark
 from assist.live.session import Session
+from assist.live.simulated_person import SimulatedPerson
 from assist.live.trace_reasons import TraceReasons
 from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome
+from assist.people.ranges import Population
 from assist.person.settings import Setting
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
@@ -91,6 +93,24 @@ def test_what_is_taken_back_was_not_seen(tiny: Table) -> None:
         team.undo("ben")
     np.testing.assert_allclose(one.person("ben").belief, other.person("ben").belief, atol=1e-12)
     assert theta(one)[1] > team_of(tiny).person("ben").theta.mean
+
+
+def test_a_simulated_person_hears_of_what_is_done_again_after_it_was_taken_back(tiny: Table, tmp_path: Path) -> None:
+    session = Session(tiny, tmp_path / "a.sqlite", setting=SETTING, policy=Pesters())
+    for name in NAMES:
+        session.join(name)
+    ben, first = SimulatedPerson(Population(theta=(0.3, 0.3)), trust=SETTING.rule_of_people()), list[float]()
+    for _ in range(2):
+        desk = session.history.desk  # type: ignore[attr-defined]
+        act = session.person("ann")["applicable"][0]
+        desk.roster.suggest(desk.known("ann"), act)
+        session.observe("ann", act)
+        for _ in range(2):  # what was heard before counts once
+            ben.hear(session.history.news("ben"))
+        first.append(ben.theta)
+        session.undo("ann")
+    assert first == pytest.approx([0.35, 0.4])
+    session.close()
 
 
 @pytest.mark.parametrize("who", ["ann", "ben"])

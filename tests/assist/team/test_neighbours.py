@@ -215,6 +215,7 @@ def test_graphs() -> None:
     assert Neighbours(sees="next", weight=0.5).weights(3).tolist() == [[0, 0.5, 0], [0.5, 0, 0.5], [0, 0.5, 0]]
     pairs = Neighbours(pairs=[[1, 3], [2, 3, 0.25], [1, 9]])
     assert pairs.weights(3).tolist() == [[0, 0, 1], [0, 0, 0.25], [1, 0.25, 0]]
+    assert Neighbourhood.of(replace(pairs, rule="followed"), 9).first(3).sees.tolist() == pairs.weights(3).tolist()
     assert Neighbours(matrix=np.array([[0, 0.1, 0], [1, 0, 0], [0, 0, 0]])).weights(2).tolist() == [[0, 0.1], [1, 0]]
 
 
