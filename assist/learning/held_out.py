@@ -27,7 +27,6 @@ from .hierarchy import pooled
 from .likelihood import Method
 from .likelihood_table import LikelihoodTable
 from .logit_likelihood import Likelihood
-from .neighbours_in_logs import with_neighbours
 from .observations import Observations
 from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
@@ -140,7 +139,6 @@ def compare_rules(
     """
     assert callable(progress)
     method = method or Method()
-    people = people if isinstance(people, AdviceLog) else with_neighbours(people, method.neighbours)
     if isinstance(people, AdviceLog):
         names, choices = tuple(people.people), people.counts
         folds_of(len(names), folds)
@@ -148,8 +146,8 @@ def compare_rules(
         fits = {name: _of_base_rates(people) if rule is None else _of_advice(people, base, rule)
                 for name, rule in of_advice.items()}  # fmt: skip
     else:
-        fold = folds_of(len(people), folds)
         log = LikelihoodTable.of_advised(people, method, carry=carry)
+        fold = folds_of(len(log.people), folds)
         names, choices, of_family = log.people, log.counts, families(method) if rules is None else rules
         fits = {name: _of_family(log, family, carry) for name, family in of_family.items()}
     if reference not in fits:

@@ -19,7 +19,9 @@ from ..people.decision import Floats
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.sights import SightTable
 from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule
+from .evidence import Evidence
 from .likelihood import Data, Method, largest_beta, with_trust, without_trust
+from .neighbours_in_logs import with_neighbours
 from .observations import Ints, Observations
 
 THETAS = 41
@@ -125,8 +127,8 @@ class LikelihoodTable(ByContent):
         )  # fmt: skip
 
     @classmethod
-    def of_advised(cls, observations: Sequence[Observations], method: Method, *, carry: bool) -> LikelihoodTable:
-        """Return the table of observations for an estimate of influence, with the usual nodes.
+    def of_advised(cls, people: Evidence | Sequence[Observations], method: Method, *, carry: bool) -> LikelihoodTable:
+        """Return the table of a log, or of observations, for an estimate of influence, with the usual nodes.
 
         Raises
         ------
@@ -135,6 +137,7 @@ class LikelihoodTable(ByContent):
         ValueError
             Theta is to be carried, but each episode has one of several goals.
         """
+        observations = with_neighbours(people, method.neighbours)
         table = cls.of(observations, method)
         if not table.heard.any():
             raise InputFileError("no suggestion in the log; expected some, as influence shows in the answers to them")

@@ -15,11 +15,12 @@ import numpy as np
 
 from ..people.decision import NOTHING
 from ..people.neighbourhood import Neighbourhood
-from ..people.neighbours import SEEN_RULES, Neighbours, WithSeen
-from ..people.sights import Acting, Helping, Sights
+from ..people.neighbours import SEEN_RULES, Neighbours, WithSeen, name_of
+from ..people.sights import Acting, sights_of
 from ..people.trust_rules import TrustRule
 from .evidence import Evidence, observations_of
 from .log import Entry
+from .method import Method
 from .observations import Ints, Observations
 from .rule_families import RuleFamily
 
@@ -56,14 +57,7 @@ def with_neighbours(people: Evidence | Sequence[Observations], neighbours: Neigh
     entries, recording = {(*one.names, one.step): one for one in people.log.entries}, people.recording
     steps = [recording.step[recording.person == number] for number in range(len(each))]
     acts = [_acts(o, step, entries, places) for o, step in zip(each, steps, strict=True)]
-    told: dict[str, list[Helping]] = {}
-    for o, own in zip(each, acts, strict=True):
-        gained = o.cost_to_go - o.ahead[np.arange(len(o)), o.chosen]
-        for row in own.heard.tolist():
-            followed = bool(o.chosen[row] == o.suggested[row])
-            one = Helping(int(own.order[row]), own.place[row], float(gained[row]), followed)
-            told.setdefault(own.team[row], []).append(one)
-    return [replace(o, seen=Sights.among(own, told, graph)) for o, own in zip(each, acts, strict=True)]
+    return [replace(o, seen=seen) for o, seen in zip(each, sights_of(acts, graph), strict=True)]
 
 
 def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
@@ -86,6 +80,11 @@ def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
         if seen.estimated else mine
         for name, seen in SEEN_RULES.items()
     }  # fmt: skip
+
+
+def rule_beside(own: TrustRule | RuleFamily, method: Method) -> RuleFamily:
+    """Return the family of a rule of one's own, beside which theta moves by what is known beforehand of neighbours."""
+    return seen_families(own)[name_of(method.neighbours)]
 
 
 def _places(evidence: Evidence, people: Iterable[Observations]) -> Mapping[tuple[str, str], int]:
@@ -116,5 +115,6 @@ def _acts(
         ["" if one.order is not None else one.episode for one in rows],
         np.array([one.step if one.order is None else one.order for one in rows], dtype=np.int64),
         np.array([BEFORE_ALL if one.since is None else one.since for one in rows], dtype=np.int64),
-        place, np.flatnonzero(o.suggested != NOTHING), o.begins.cumsum() - 1,
+        place, o.begins.cumsum() - 1, np.flatnonzero(o.suggested != NOTHING),
+        o.cost_to_go - o.ahead[np.arange(len(o)), o.chosen], o.chosen == o.suggested,
     )  # fmt: skip

@@ -21,7 +21,6 @@ from scipy.special import expit, logit
 from planner.system.results import Result
 
 from ..people.decision import Floats
-from ..people.neighbours import name_of
 from ..people.trust_rules import TrustRule, plain_rule
 from .distribution import Margin, PopulationFit
 from .evidence import Evidence
@@ -29,7 +28,7 @@ from .influence_population import InfluencePopulation
 from .intervals import Interval, equal_tailed
 from .likelihood import Method
 from .likelihood_table import LikelihoodTable
-from .neighbours_in_logs import seen_families, with_neighbours
+from .neighbours_in_logs import rule_beside
 from .observations import Observations
 from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
@@ -164,8 +163,8 @@ def fit_influence(
     if isinstance(rule, str) and rule not in known:
         raise ValueError(f"trust '{rule}': expected one of {', '.join(known)}, or a rule")
     own = known[rule] if isinstance(rule, str) else rule
-    family = seen_families(own)[name_of(method.neighbours)]
-    log = LikelihoodTable.of_advised(with_neighbours(observations, method.neighbours), method, carry=carry)
+    family = rule_beside(own, method)
+    log = LikelihoodTable.of_advised(observations, method, carry=carry)
     search = RuleSearch(log, family, carry)
     values, intervals = search.best(), {}
     # A person's belief is averaged over what the parameters of the rule may be: with the best ones alone, intervals of

@@ -1,7 +1,7 @@
 """What people saw of suggestions to neighbours, in order of time: who saw what, and how it moves theta.
 
-A team's log has who was told what, and who acted when (`Helping`, `Acting`). From it and the visibility graph follow
-each person's `Sights`; those of several people are a `SightTable`, whose `moves` apply a rule to arrays of theta.
+A team's log has who was told what, and who acted when (`Acting`). From it and the visibility graph follow each person's
+`Sights`; those of several people are a `SightTable`, whose `moves` apply a rule to arrays of theta.
 """
 
 from __future__ import annotations
@@ -21,27 +21,43 @@ from .neighbours import SeenEvent, parts_of
 from .trust_rules import TrustRule
 
 
-class Helping(NamedTuple):
-    """A suggestion in a team: when it was answered, at which place, what was gained, and whether it was followed."""
-
-    order: int
-    place: int
-    gain: float
-    followed: bool
-
-
 class Acting(NamedTuple):
-    """When a person acted: the team, the order, since when they were there, and at which place, of N choices.
+    """What a person did when and where: N choices in teams.
 
-    `heard` has the choices before which something was suggested to them, and `episode` the number of each choice's.
+    Attributes
+    ----------
+    team : sequence of str
+        Name of the team.
+    order, since : int arrays, shape (N,)
+        When it was, in the order of the team, and since when the person was there.
+    place : sequence of int
+    episode : int array, shape (N,)
+        Number of the person's episode.
+    heard : int array, shape (S,)
+        The choices before which something was suggested to the person.
+    gain : float array, shape (N,)
+        What came of each choice.
+    followed : bool array, shape (N,)
     """
 
     team: Sequence[str]
     order: Ints
     since: Ints
     place: Sequence[int]
-    heard: Ints
     episode: Ints
+    heard: Ints
+    gain: Floats
+    followed: Bools
+
+
+def sights_of(people: Sequence[Acting], graph: Neighbourhood) -> list[Sights]:
+    """Return what each person saw of suggestions to the others, who see each other by a graph."""
+    told: dict[str, list[tuple[int, int, float, bool]]] = {}
+    for one in people:
+        for row in one.heard.tolist():
+            event = int(one.order[row]), one.place[row], float(one.gain[row]), bool(one.followed[row])
+            told.setdefault(one.team[row], []).append(event)
+    return [Sights.among(one, told, graph) for one in people]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,30 +93,32 @@ class Sights(ByContent):
         return cls(*(np.array(c, dtype=kind) for c, kind in zip(columns, kinds, strict=True)))
 
     @classmethod
-    def among(cls, own: Acting, told: Mapping[str, Sequence[Helping]], graph: Neighbourhood) -> Sights:
+    def among(
+        cls, own: Acting, told: Mapping[str, Sequence[tuple[int, int, float, bool]]], graph: Neighbourhood
+    ) -> Sights:
         """Return what a person saw: what was told in their teams before their last action, while they were there.
 
         Parameters
         ----------
         own : Acting
-        told : mapping of str to sequence of Helping
-            The suggestions in each team, by its name.
+        told : mapping of str to sequence of tuples
+            The suggestions in each team, by its name: order, place, gain, and whether it was followed.
         graph : Neighbourhood
         """
         rows, team = [], np.array(own.team)
         for name in dict.fromkeys(own.team):
             mine = np.flatnonzero(team == name)
             sees = graph.seen_from(own.place[mine[0]])
-            for one in sorted(told.get(name, [])):
-                later = np.flatnonzero(own.order[mine] > one.order)
-                if one.place not in sees or not len(later):
+            for order, place, gain, followed in sorted(told.get(name, [])):
+                later = np.flatnonzero(own.order[mine] > order)
+                if place not in sees or not len(later):
                     continue
                 row = int(mine[later[0]])  # the first choice after it
-                if own.since[row] >= one.order:
+                if own.since[row] >= order:
                     continue
                 before = int(np.searchsorted(own.heard, row))
                 now = before < len(own.heard) and own.episode[own.heard[before]] == own.episode[row]
-                rows.append((before, bool(now), one.gain, one.followed, sees[one.place]))
+                rows.append((before, bool(now), gain, followed, sees[place]))
         return cls.of(rows)
 
 
