@@ -107,9 +107,9 @@ def _links(figure: Figure, axes: dict[int, Axes], trace: Trace, links: Sequence[
 
     height = {(row["place"], row["step"]): row["cost_to_go"] or 0 for row in trace}
     for one in links:
-        ends = ((one.step + 0.5, height[place, one.step]) for place in (one.place, one.to))
+        here, there = ((one.step + 0.5, height[place, one.step]) for place in (one.place, one.to))
         line = ConnectionPatch(
-            *ends, "data", "data", axesA=axes[one.place], axesB=axes[one.to], color=VERMILLION, linewidth=0.9,
+            here, there, "data", "data", axesA=axes[one.place], axesB=axes[one.to], color=VERMILLION, linewidth=0.9,
             alpha=0.15 + 0.55 * one.weight,
         )  # fmt: skip
         line.set_gid("link")
