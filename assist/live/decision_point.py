@@ -27,8 +27,7 @@ from ..person.rows_of_people import by_model
 from ..person.settings import Setting
 from ..person.ties import first_best
 from ..team.baselines import NoAssistance
-from ..team.outlook import beside
-from ..team.state import BASE, TeamPolicy, TeamState, worth_of_actions
+from ..team.state import BASE, TeamPolicy, TeamState, beside, worth_of_actions
 from .advice import Question
 from .causes import CAUSES
 from .contrast import Contrast, contrast

@@ -24,7 +24,7 @@ from ..people.neighbours import SeenEvent
 from ..person.policy import Policy
 from .attention import AttentionSwitching
 from .seen import gained
-from .state import TeamPolicy, TeamState
+from .state import TeamState
 
 Ints = NDArray[np.int64]
 
@@ -127,12 +127,3 @@ class AttentionWithOutlook(AttentionSwitching):
     def beside(self, team: TeamState, actions: int) -> Floats:
         """Return what the first R robot actions are worth beside each person, as in `outlook`."""
         return outlook(team, actions, Policy.value)
-
-
-def beside(policy: TeamPolicy, team: TeamState, actions: int) -> Floats:
-    """Return what a policy takes the first R robot actions to be worth beside each person, shape (N, K, R).
-
-    That is what its method `beside` returns, with the team and R, or that of its `base`; 0 if it has none.
-    """
-    own = getattr(policy, "beside", getattr(getattr(policy, "base", None), "beside", None))
-    return np.broadcast_to(np.zeros(1) if own is None else own(team, actions), (*team.x.shape, actions))

@@ -305,9 +305,18 @@ class TeamPolicy(Protocol):
     """Any callable of this form.
 
     An attribute `uses_belief = False` turns the belief filter off. `weighs_costs = True` says that its
-    suggestions are worth their cost.
+    suggestions are worth their cost. A method `beside` says what they are worth to others (`beside`).
     """
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return the actions for N teams."""
         ...
+
+
+def beside(policy: TeamPolicy, team: TeamState, actions: int) -> Floats:
+    """Return what a policy takes the first R robot actions to be worth beside each person, shape (N, K, R).
+
+    That is what its method `beside` returns, with the team and R, or that of its `base`; 0 if it has none.
+    """
+    own = getattr(policy, "beside", getattr(getattr(policy, "base", None), "beside", None))
+    return np.broadcast_to(np.zeros(1) if own is None else own(team, actions), (*team.x.shape, actions))
