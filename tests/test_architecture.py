@@ -58,9 +58,10 @@ ROOMS = {
     "assist.learning": """method log_steps log_rows log_json log_tables log_files log intervals comparison
         advice_log
         advice_rules advice_model advice_fit replay observations evidence likelihood
+        rule_families neighbours_in_logs
         likelihood_table likelihood_arrays first_estimates person_estimate maximum_likelihood
         logit_likelihood hierarchy misconception_fit
-        diagnostics distribution population fit goals rule_families neighbours_in_logs posterior_sample
+        diagnostics distribution population fit goals posterior_sample
         influence_population
         rule_search trust_fit held_out""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from ..people.neighbourhood import Neighbourhood
 from ..person.travel import Travel
 from .episodes import Episode, Episodes
 from .goal_knowledge import GoalKnowledge
 from .pool import Pool
-from .seen import sights
 from .simulate import simulate
 from .state import TeamPolicy
 from .trace import Link, Trace
@@ -56,6 +56,16 @@ class Illustration:
                 pool, one, humans=humans, episodes=[shown.episode], seed=seed, travel=travel, goals=goals, trace=trace
             )
         return cls(shown, *traces, tuple(sights(traces[0], pool.setting.neighbourhood(len(shown.people)))))
+
+
+def sights(trace: Trace, neighbours: Neighbourhood) -> Iterator[Link]:
+    """Yield a link from each suggestion in an episode's trace to each person who saw it and went on."""
+    last = {row["place"]: row["step"] for row in trace}
+    for row in trace:
+        for place in last if row["suggestion"] else ():
+            weight = neighbours.seen_from(place).get(row["place"], 0.0)
+            if weight > 0 and last[place] > row["step"]:
+                yield Link(row["step"], row["place"], place, weight)
 
 
 def typical(helped: Episodes, alone: Episodes) -> Episode:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
-from ..people.neighbourhood import Helped, Neighbourhood, seen_gain
+from ..people.neighbourhood import Helped, seen_gain
 from ..person.beliefs import Beliefs, PersonModel
 from ..person.policy import Policy
 from ..person.problem_arrays import Acts
 from ..person.random_kinds import Kind
 from .people_at_work import PeopleAtWork
-from .trace import Link, Trace
 
 Ints = NDArray[np.int64]
 
@@ -61,16 +60,6 @@ def let_see(
         low, up = grid.shares(theta[who], them.outcomes.reshape(-1)[who])
         theta[who] = grid.theta[low + (uniform[who] < up)]
     neighbours.believed.believe(beliefs.belief, grid, helped, there)
-
-
-def sights(trace: Trace, neighbours: Neighbourhood) -> Iterator[Link]:
-    """Yield a link from each suggestion in an episode's trace to each person who saw it and went on."""
-    last = {row["place"]: row["step"] for row in trace}
-    for row in trace:
-        for place in last if row["suggestion"] else ():
-            weight = neighbours.seen_from(place).get(row["place"], 0.0)
-            if weight > 0 and last[place] > row["step"]:
-                yield Link(row["step"], row["place"], place, weight)
 
 
 def gained(policy: Policy, before: Ints, after: Ints) -> Floats:

@@ -18,7 +18,7 @@ from assist.declare import plain
 from assist.learning import Method, Observations
 from assist.learning.comparison import Comparison, ratio
 from assist.learning.distribution import trust_of
-from assist.learning.held_out import compare_rules
+from assist.learning.held_out import REFERENCE, compare_rules
 from assist.learning.influence_population import InfluencePopulation
 from assist.learning.intervals import equal_tailed, holm
 from assist.learning.likelihood_table import LikelihoodTable
@@ -334,9 +334,10 @@ def test_rules_are_compared_by_command(tmp_path: Path) -> None:
     done = invoke(*compared, "--out", tmp_path / "people.jsonl", "--json")
     assert done.exit_code == 0, done.output
     rows = [json.loads(line) for line in (tmp_path / "people.jsonl").read_text().splitlines()]
-    assert list(rows[0]["nats_per_choice"]) == list(families(Method()))
+    names = [REFERENCE, *(name for name in families(Method()) if name != REFERENCE)]
+    assert list(rows[0]["nats_per_choice"]) == names
     document = json.loads(done.stdout)
-    assert (document["people"], [row["model"] for row in document["models"]]) == (rows, list(families(Method())))
+    assert (document["people"], [row["model"] for row in document["models"]]) == (rows, names)
 
 
 @pytest.mark.parametrize("rule", ["paper", "constant"])

@@ -27,8 +27,8 @@ from assist.person.settings import Setting
 from assist.team.attention import AttentionSwitching
 from assist.team.baselines import NoAssistance
 from assist.team.belief_trace import beliefs_of_episode
+from assist.team.illustration import sights
 from assist.team.pool import Pool
-from assist.team.seen import sights
 from assist.team.simulate import simulate
 from assist.team.trace import Trace
 
