@@ -199,10 +199,10 @@ class VisitedRows:
         """Return the Q-values of the robot's moves, shape (N, R + 1); arguments as in `SolvedSubproblem.q_values`."""
         return self.policy.problem.q_values(*self._table(step), position, x, belief)
 
-    def advantage(self, before: Ints, now: Ints, x: Ints, move: Ints, h: Ints, t: Ints) -> Floats:
+    def advantage(self, before: Ints, now: Ints, x: Ints, move: Ints, h: Ints, was: Ints, t: Ints) -> Floats:
         """Return Q-values minus values, shape (N,); arguments as in `SolvedSubproblem.advantage`."""
         table, _ = self.policy.problem.values(*self._table(0), x)
-        return np.asarray(table[x, now, move, h, t] - table[x, before, :, h, t].max(axis=1))
+        return np.asarray(table[x, now, move, h, t] - table[x, before, :, h, was].max(axis=1))
 
     def _table(self, step: int) -> tuple[str, Backup]:
         """Return the name of the Q-values at a step, and how they are computed."""
