@@ -279,8 +279,8 @@ def results(small_study: tuple[Study, Path, dict], tmp_path: Path) -> Path:
 def draw_first_picture(patched: pytest.MonkeyPatch) -> None:
     """Let reports in this process draw only their first figure, since each takes two seconds."""
 
-    draw = study_report._draw_all
-    patched.setattr(study_report, "_draw_all", lambda pictures, folder, _: draw(pictures[:1], folder, 1))
+    draw = study_report.draw_all
+    patched.setattr(study_report, "draw_all", lambda pictures, folder, **_: draw(pictures[:1], folder))
 
 
 @pytest.fixture

@@ -98,7 +98,7 @@ def without_processes() -> None:
             return why
 
     planner.batch.solve_batch.outcomes = assist.studies.runner.outcomes = here
-    assist.studies.reports.study_report._draw_all = lambda *_: None
+    assist.studies.reports.study_report.draw_all = lambda *_, **__: None
     assist.web.server.serve = broken_live.work
     fast_downward.translate = translate_once
     planner.batch.solve_instance.SecondReader = SecondReader

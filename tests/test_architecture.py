@@ -86,7 +86,7 @@ ROOMS = {
     "assist.connect.bridges": """messages ordering session_client tasks transport errands kernel mqtt_settings
         mqtt_topics mqtt opcua_settings opcua opcua_nodes opcua_server ros2_settings ros2""",
     "assist.cli.terminal": "interrupts console",
-    "assist.cli.options": """common settings config task population person travel policies goals team help bridges
+    "assist.cli.options": """common settings config task policies population person travel goals team help bridges
         listening live log trust""",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries
         people_estimates trust_estimates comparisons goal_posteriors""",

@@ -13,7 +13,7 @@ from .options.common import MEGABYTES, json_option, out_option
 from .options.help import command
 from .options.person import PersonOptions, person_options, person_problem
 from .options.task import costs_of, table_of
-from .terminal.console import ExitCode, fail, one_line_errors, print_json
+from .terminal.console import ExitCode, fail, print_json
 
 FORMATS = ("pomdpx", "pomdp")
 
@@ -57,43 +57,42 @@ def export(
             return table_of(found)
         return costs_of(found, max_states=setting.max_states, memory_limit_mb=setting.memory_limit)
 
-    with one_line_errors():
-        found, problem = person_problem(person, known_of, states=setting.region_states)
-        pomdp = problem.pomdp
-        if pomdp.followed_low is not None:
-            whose = "--trust" if "trust" in given else f"--population {given.values['population']}"
-            raise click.UsageError(
-                f"{whose}: a file has no trust that depends on whether advice is followed; expected --trust paper or "
-                "constant"
+    found, problem = person_problem(person, known_of, states=setting.region_states)
+    pomdp = problem.pomdp
+    if pomdp.followed_low is not None:
+        whose = "--trust" if "trust" in given else f"--population {given.values['population']}"
+        raise click.UsageError(
+            f"{whose}: a file has no trust that depends on whether advice is followed; expected --trust paper or "
+            "constant"
+        )
+    try:
+        whole = pomdp.frontier is None
+        table = problem.known if whole and isinstance(problem.known, planner.Table) else None
+        observed = Observed.of(pomdp, table, leaves)
+        if named == "pomdp":
+            flat.require_size(observed)
+        needed = bytes_needed(observed, {"pomdpx": mixed, "pomdp": flat}[named].lines_of) / 1e6
+        if needed > size_limit:
+            fail(
+                f"--out {out}: it would take about {needed:,.3g} MB, more than --size-limit {size_limit:,.3g}",
+                ExitCode.FAILED,
             )
-        try:
-            whole = pomdp.frontier is None
-            table = problem.known if whole and isinstance(problem.known, planner.Table) else None
-            observed = Observed.of(pomdp, table, leaves)
-            if named == "pomdp":
-                flat.require_size(observed)
-            needed = bytes_needed(observed, {"pomdpx": mixed, "pomdp": flat}[named].lines_of) / 1e6
-            if needed > size_limit:
-                fail(
-                    f"--out {out}: it would take about {needed:,.3g} MB, more than --size-limit {size_limit:,.3g}",
-                    ExitCode.FAILED,
-                )
-            if needed > 10:
-                click.echo(f"{out}: about {needed:,.0f} MB", err=True)
-            {"pomdpx": mixed.write_pomdpx, "pomdp": flat.write_pomdp}[named](pomdp, out, table, leaves=leaves)
-        except ValueError as error:
-            fail(f"{found}: {error}", ExitCode.FAILED)
-        record = {
-            "instance": str(found.problem),
-            "domain": str(found.domain),
-            "format": named,
-            "out": str(out),
-            "states": len(pomdp.model.choices),
-            "frontier": 0 if pomdp.frontier is None else len(pomdp.frontier.states),
-            "hidden": pomdp.prior.size,
-            "robot_actions": len(action_names(pomdp)),
-            "bytes": out.stat().st_size,
-        }
+        if needed > 10:
+            click.echo(f"{out}: about {needed:,.0f} MB", err=True)
+        {"pomdpx": mixed.write_pomdpx, "pomdp": flat.write_pomdp}[named](pomdp, out, table, leaves=leaves)
+    except ValueError as error:
+        fail(f"{found}: {error}", ExitCode.FAILED)
+    record = {
+        "instance": str(found.problem),
+        "domain": str(found.domain),
+        "format": named,
+        "out": str(out),
+        "states": len(pomdp.model.choices),
+        "frontier": 0 if pomdp.frontier is None else len(pomdp.frontier.states),
+        "hidden": pomdp.prior.size,
+        "robot_actions": len(action_names(pomdp)),
+        "bytes": out.stat().st_size,
+    }
     if as_json:
         print_json(record)
     else:

@@ -14,7 +14,7 @@ from .options.common import INPUT_FILE, domain_option, json_option, out_option, 
 from .options.help import command
 from .options.log import ReadingOptions, reading_options, with_goals
 from .options.settings import GoalSetting
-from .terminal.console import ExitCode, one_line_errors
+from .terminal.console import ExitCode, one_line_errors, usage_errors
 
 
 @command("infer kits/travel.pddl kits/mend.pddl log.jsonl")
@@ -45,10 +45,8 @@ def infer(
             {"--out": out}, {"LOG": file, **{str(one): one.problem for one in find_instances(problems, domain)}}
         )
         seen = with_goals(problems, file, domain, reading, setting)
-        try:
+        with usage_errors():
             found = infer_goals(seen, beta=Grid.regular(Population(beta=setting.beta)).beta, lapse=setting.lapse)
-        except ValueError as error:
-            raise click.UsageError(str(error)) from None
         for line in found.notes[len(seen.notes) :]:
             click.echo(line, err=True)
         show_goals(found, out, as_json=as_json)

@@ -18,7 +18,7 @@ from .options.person import PersonOptions, person_options, person_problem
 from .options.settings import REGION_STATES
 from .options.task import costs_of
 from .output.person_bounds import line_of, show_bounds
-from .terminal.console import kept_if_interrupted, one_line_errors, print_json
+from .terminal.console import kept_if_interrupted, print_json
 
 if TYPE_CHECKING:
     from planner import CostToGo
@@ -51,30 +51,27 @@ def policy(
         goals = several_goals(instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states)
         return goals or costs_of(found, max_states=setting.max_states, memory_limit_mb=setting.memory_limit)
 
-    with one_line_errors():
-        states = setting.region_states or REGION_STATES
-        found, problem = person_problem(person, known_of, states=states, time_limit=time_limit)
-        reached, solved = list[float](), list[Solution]()
-        with kept_if_interrupted(lambda: reached), status_line("first bounds") as show:
+    states = setting.region_states or REGION_STATES
+    found, problem = person_problem(person, known_of, states=states, time_limit=time_limit)
+    reached, solved = list[float](), list[Solution]()
+    with kept_if_interrupted(lambda: reached), status_line("first bounds") as show:
 
-            def tell(seconds: float, lower: float, upper: float) -> None:
-                reached[:] = lower, upper, seconds
-                show(line_of(lower, upper))
+        def tell(seconds: float, lower: float, upper: float) -> None:
+            reached[:] = lower, upper, seconds
+            show(line_of(lower, upper))
 
-            solved.append(
-                solve(problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=setting.memory_limit, bounds=tell)
-            )
-        if not solved:
-            if as_json:
-                print_json(dict(zip(("lower", "upper", "seconds"), reached, strict=True)) | {"stopped": "interrupt"})
-            else:
-                click.echo(f"{line_of(*reached[:2])}; no policy is saved")
-            return
-        (solution,) = solved
-        if out is not None:
-            solution.save(
-                out, values=first_of(problem.known).values(problem.states.clip(0)), task_states=problem.states
-            )
+        solved.append(
+            solve(problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=setting.memory_limit, bounds=tell)
+        )
+    if not solved:
+        if as_json:
+            print_json(dict(zip(("lower", "upper", "seconds"), reached, strict=True)) | {"stopped": "interrupt"})
+        else:
+            click.echo(f"{line_of(*reached[:2])}; no policy is saved")
+        return
+    (solution,) = solved
+    if out is not None:
+        solution.save(out, values=first_of(problem.known).values(problem.states.clip(0)), task_states=problem.states)
     frontier, too_high = problem.pomdp.frontier, None if solution.suggests else setting.c_suggest
     hidden = problem.pomdp.hidden
     record = {

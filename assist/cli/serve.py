@@ -18,7 +18,7 @@ from .options.help import command
 from .options.listening import Listening, listening_options, live_server
 from .options.live import LiveOptions, changed_settings, live_options, plan_of
 from .options.policies import policy_errors
-from .terminal.console import note
+from .terminal.console import note, usage_errors
 from .user_study import conduct
 
 if TYPE_CHECKING:
@@ -69,12 +69,8 @@ def serve(
         plan = replace(plan_of(team), public_url=at.public_url, trusted_proxies=at.trusted_proxy)
         if beside is not None:
             beside.require_possible(plan.tasks.values())
-        try:
+        with usage_errors(InputFileError):
             session = plan.session()
-        except InputFileError:
-            raise
-        except ValueError as error:
-            raise click.UsageError(str(error)) from None
     for remark in () if beside is None else beside.strangers(session.people):
         note(remark)
     listening = at.listen()

@@ -51,15 +51,12 @@ def study(
     say = partial(click.echo, err=True)
     with one_line_errors("interrupted; finished parts are saved, --resume continues"):
         require()
-        try:
-            planned = read(protocol, repeats=repeats, baseline=baseline)
-            with stages() as show:
-                check(planned, show)
-                failed = run_study(
-                    planned, out, jobs=jobs or processors(), scheduler=scheduler, resume=resume, progress=show, warn=say
-                )
-        except InputFileError as error:
-            fail(str(error), ExitCode.USAGE)
+        planned = read(protocol, repeats=repeats, baseline=baseline)
+        with stages() as show:
+            check(planned, show)
+            failed = run_study(
+                planned, out, jobs=jobs or processors(), scheduler=scheduler, resume=resume, progress=show, warn=say
+            )
         for cell, reason in failed:
             say(f"{cell}: {reason if isinstance(reason, InputFileError | UserCodeError) else repr(reason)}")
         if failed:

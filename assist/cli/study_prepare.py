@@ -15,7 +15,7 @@ from .options.common import INPUT_FILE, data_option
 from .options.help import command
 from .options.listening import public_url_option
 from .options.task import costs_of
-from .terminal.console import ExitCode, fail, note, print_json
+from .terminal.console import note, print_json
 
 if TYPE_CHECKING:
     from ..studies.userstudy.forecast import Forecast
@@ -37,34 +37,29 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
     The registration holds FILE.toml, and digests of it and of the analysis. The report states what has changed. Which
     differences the study can show is said on stderr, by simulation, and which policy hardly suggests anything.
     """
-    from planner.system.errors import InputFileError
-
     from ..declare.declared import plain
     from ..studies.reports.preregistration import register
     from ..studies.userstudy.plan_file import read
 
     if check and links is not None:
         raise click.UsageError("--check cannot be combined with --links")
-    try:
-        study = read(file)
-        if check or links is None:
-            if data is None and not check:
-                raise click.UsageError("expected --data DIR, the folder of the study, or --check")
-            record = None if check or data is None else register(study, data)
-            forecast = _forecast(study)
-            for text in forecast.remarks():
-                note(text)
-            if record is None:
-                shown = [plain(one) for one in forecast.sensitivity()]
-                counts = {"places": study.participants, "comparisons": study.comparisons}
-                print_json({"study": str(file), **counts, "sensitivity": shown})
-                note(f"{file} can be carried out; nothing is registered yet")
-            else:
-                print_json({name: value for name, value in record.items() if name != "text"})
-                note(f"registered in {data}; `kitassist serve --study {file} --data {data}` begins the study")
-            return
-    except InputFileError as error:
-        fail(str(error), ExitCode.USAGE)
+    study = read(file)
+    if check or links is None:
+        if data is None and not check:
+            raise click.UsageError("expected --data DIR, the folder of the study, or --check")
+        record = None if check or data is None else register(study, data)
+        forecast = _forecast(study)
+        for text in forecast.remarks():
+            note(text)
+        if record is None:
+            shown = [plain(one) for one in forecast.sensitivity()]
+            counts = {"places": study.participants, "comparisons": study.comparisons}
+            print_json({"study": str(file), **counts, "sensitivity": shown})
+            note(f"{file} can be carried out; nothing is registered yet")
+        else:
+            print_json({name: value for name, value in record.items() if name != "text"})
+            note(f"registered in {data}; `kitassist serve --study {file} --data {data}` begins the study")
+        return
     if data is None:
         raise click.UsageError("--links: expected --data DIR as well, the folder of the study")
     if public_url is None:

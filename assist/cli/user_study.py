@@ -17,7 +17,7 @@ from ..declare.options import Given
 from .options.common import is_given, new_folder
 from .options.listening import Listening
 from .options.task import costs_of
-from .terminal.console import ExitCode, fail, note, one_line_errors
+from .terminal.console import ExitCode, fail, note, one_line_errors, usage_errors
 
 if TYPE_CHECKING:
     from planner import CostToGo
@@ -51,8 +51,6 @@ def conduct(file: Path, data: Path | None, given: Given[Any], at: Listening, reh
     for source, _ in given.sources.values():
         raise click.UsageError(f"{source} cannot be combined with --study; the study's file sets it")
     try:
-        from planner.system.errors import InputFileError
-
         from ..people.user_code import UserCodeError
         from ..studies.userstudy.export import REGISTERED
         from ..studies.userstudy.forecast import Forecast
@@ -62,10 +60,7 @@ def conduct(file: Path, data: Path | None, given: Given[Any], at: Listening, reh
         from ..web.user_study.rehearsal import Rehearsal
     except ImportError as error:
         raise MissingExtraError("user studies need", str(error.name), "study") from None
-    try:
-        study = read(file)
-    except InputFileError as error:
-        fail(str(error), ExitCode.USAGE)
+    study = read(file)
     if study.participants is not None and rehearse > study.participants:
         raise click.UsageError(f"--rehearse {rehearse}: the study is planned for {study.participants} participants")
     if study.group is not None and rehearse % study.group.size:
@@ -73,7 +68,7 @@ def conduct(file: Path, data: Path | None, given: Given[Any], at: Listening, reh
     if data is None and not rehearse:
         raise click.UsageError("--study: expected --data DIR as well, the folder in which the study's data are saved")
     folder = data or new_folder()
-    if rehearse and any((folder / name).exists() for name in ("journal.sqlite", "journal.jsonl")):
+    if rehearse and (folder / JOURNAL).exists():
         raise click.UsageError(f"--data {folder}: contains a study already; expected another folder for each rehearsal")
     if rehearse and (folder / REGISTERED).exists():
         raise click.UsageError(f"--data {folder}: a study is registered there; expected another folder for a rehearsal")
@@ -121,10 +116,8 @@ def _tasks(study: UserStudy) -> dict[str, CostToGo]:
         found[name] = (
             found[same] if same else costs_of(instance, max_states=SolveOptions.max_states, memory_limit_mb=None)
         )
-        try:
+        with usage_errors():
             Artist(found[name].task)
-        except ValueError as error:
-            raise click.UsageError(str(error)) from None
     return found
 
 

@@ -27,8 +27,6 @@ from .desk import Desk
 from .live_task import digest
 from .record import TeamRecord
 
-OTHER_VERSION = "{file}: was recorded by kitassist {version}, and only that version reads it; expected another folder"
-
 
 @declared(kw_only=True)
 class Header(View):
@@ -109,7 +107,10 @@ def require_version(file: Path, found: Mapping[str, Any], format: str) -> None:
     """
     known = str(found.get("format", ""))
     if known != format and _kind(known) == _kind(format):
-        raise InputFileError(OTHER_VERSION.format(file=file, version=found.get("version", "1.0")))
+        version = found.get("version", "1.0")
+        raise InputFileError(
+            f"{file}: was recorded by kitassist {version}, and only that version reads it; expected another folder"
+        )
 
 
 def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:

@@ -36,7 +36,7 @@ from ..team.state import TeamPolicy
 from .advice import Advice
 from .event_base import Event
 from .events import Joined, Vacant
-from .header import OTHER_VERSION, Header, header_of, require_same
+from .header import Header, header_of, require_same
 from .history import History
 from .names import LONGEST_REASON, name_of
 from .people_store import PeopleStore, model_of
@@ -107,9 +107,6 @@ class Session(Reports):
         self._clock, self._people, self._learned = clock, people, set[str]()
         self.changed: Callable[[set[str], Sequence[bool]], None] | None = None
         self.lock = threading.RLock()
-        former = Path(journal).with_suffix(".jsonl")
-        if former.exists() and not Path(journal).exists():
-            raise InputFileError(OTHER_VERSION.format(file=former, version="1.0"))
         self._store: EventStore[Any] = EventStore(Path(journal), self.kind)
         try:
             self._open()

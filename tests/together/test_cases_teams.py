@@ -112,7 +112,7 @@ def test_commands_say_that_no_suggestion_was_worth_its_cost() -> None:
 
 
 def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(study_report, "_draw_all", lambda *_: None)
+    monkeypatch.setattr(study_report, "draw_all", lambda *_, **__: None)
     monkeypatch.setattr("assist.studies.runner.outcomes", here)
     study = read(write(tmp_path, STUDY))
     out = tmp_path / "out"
@@ -303,7 +303,7 @@ def test_a_study_that_fails_before_its_first_episode_does_not_block_the_correcte
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("assist.studies.runner.outcomes", here)
-    monkeypatch.setattr(study_report, "_draw_all", lambda *_: None)
+    monkeypatch.setattr(study_report, "draw_all", lambda *_, **__: None)
     own, out = tmp_path / "own.py", tmp_path / "out"
     own.write_text("def mine(team):\n    return 7\n")
     text = STUDY.replace("pool = 4", 'pool = 4\npolicies = ["own.py:mine"]').partition("[[conditions]]")[0]
@@ -320,7 +320,7 @@ def test_a_study_that_fails_before_its_first_episode_does_not_block_the_correcte
 
 def test_a_study_says_that_its_episodes_were_cut_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("assist.studies.runner.outcomes", here)
-    monkeypatch.setattr(study_report, "_draw_all", lambda *_: None)
+    monkeypatch.setattr(study_report, "draw_all", lambda *_, **__: None)
     for limit, cut in ((7, True), (500, False)):
         text = STUDY.partition("[[conditions]]")[0].replace("repeats = 2", "repeats = 3")
         file, out = write(tmp_path, f"{text}\n[setting]\nmax_steps = {limit}\n"), tmp_path / str(limit)

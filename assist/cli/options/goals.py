@@ -17,7 +17,7 @@ from planner.system.progress import stages
 from planner.system.threads import on_threads
 
 from ...declare.options import Given
-from ..terminal.console import ExitCode, fail, note
+from ..terminal.console import ExitCode, fail, note, usage_errors
 from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
@@ -106,10 +106,8 @@ def several_goals(
         known = goals_of(every, domain=domain, max_states=max_states, tables=True)
     except LimitError as error:
         fail(f"--goals: {error}; expected a task of at most {max_states:,} states", ExitCode.FAILED)
-    try:
+    with usage_errors():
         return Goals(known, prior)  # type: ignore[arg-type]
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
 
 
 def _same_domain(found: Sequence[Instance]) -> None:

@@ -18,6 +18,7 @@ from ...declare.declared import names_of
 from ...declare.options import Given, setting_options
 from ...live.live_setting import LiveSetting
 from ...person.settings import Setting
+from ..terminal.console import usage_errors
 from .common import data_option, domain_option, humans_option, new_folder, together
 from .config import ENVIRONMENT, read_config
 from .goals import check_questions, goals_option, several_goals
@@ -92,7 +93,7 @@ def plan_of(team: LiveOptions) -> ServedTeam:
         given.refuse(RATES, 'without trust = "paper"')
     if chosen.fleet.executes:
         raise click.UsageError("execute: expected a robot that suggests; one that acts itself can only be simulated")
-    try:
+    with usage_errors(InputFileError):
         catalogue(setting.language)  # reports faults in it before a page is served
         distance = None if setting.distances is None else travel_of(chosen, humans, setting.distances).distance
         found = _named(find_instances(team.instances, team.domain))
@@ -112,10 +113,6 @@ def plan_of(team: LiveOptions) -> ServedTeam:
         }
         for task in tasks.values():
             Artist(first_of(task).task)  # reports faults in a `drawing.toml` before a page is served
-    except InputFileError:
-        raise
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
     simulated = [f"simulated-{number}" for number in range(1, simulate + 1)]
     names = [*(f"person-{number}" for number in range(1, humans - simulate + 1)), *simulated]
     in_turn = {name: list(tasks)[number % len(tasks)] for number, name in enumerate(names)}

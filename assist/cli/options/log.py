@@ -15,7 +15,7 @@ from planner.system.limits import processors
 from planner.system.progress import progress_bar, stages
 
 from ...declare.declared import names_of
-from ..terminal.console import ExitCode, fail
+from ..terminal.console import ExitCode, fail, usage_errors
 from .common import INPUT_FILE, Option, domain_option, jobs_option, together
 from .goals import goals_of
 from .settings import EstimateSetting, GoalSetting, ReadingSetting
@@ -70,11 +70,10 @@ class ReadingOptions(NamedTuple):
         log = log_of(file, self.columns, gaps=setting.gaps)
         tasks = task()
         try:
-            found = replayed(tasks, log, tell=tell, drop=self.drop, rename=names, strict=self.strict, **more)
+            with usage_errors(InputFileError):
+                found = replayed(tasks, log, tell=tell, drop=self.drop, rename=names, strict=self.strict, **more)
         except InputFileError as error:
             fail(str(error), ExitCode.FAILED)
-        except ValueError as error:
-            raise click.UsageError(str(error)) from None
         for note in found.notes:
             click.echo(note, err=True)
         return found
@@ -189,10 +188,8 @@ def log_of(file: Path, columns: tuple[str, ...], *, gaps: bool) -> Log:
     from ...learning.log import read_log
 
     named = _columns(columns)
-    try:
+    with usage_errors():
         log = read_log(file, gaps=gaps, columns=named)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
     if log.note:
         click.echo(f"{file}: {log.note}", err=True)
     return log

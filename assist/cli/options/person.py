@@ -6,13 +6,12 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, NamedTuple
 
-import click
-
 from planner import Instance
 from planner.system.progress import progress_bar
 
 from ...declare.options import Given, setting_options
 from ...person.settings import Setting
+from ..terminal.console import usage_errors
 from .common import domain_option, instance_argument, seed_option, together
 from .population import chosen_setting
 from .settings import PersonSetting
@@ -80,12 +79,9 @@ def person_problem(
         states, memory_limit = max(1, states // len(each_of(known))), setting.memory_limit
     drawn = Misconception.drawn(setting.sigma, default_rng(person.seed))
     known_to_robot = drawn if setting.sigma else None
-    try:
-        with nullcontext() if whole else progress_bar("collecting states", states) as advance:
-            problem = PersonProblem.of(
-                known, setting=chosen, population=setting.population, states=states, misconception=known_to_robot,
-                time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance,
-            )  # fmt: skip
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
+    with usage_errors(), nullcontext() if whole else progress_bar("collecting states", states) as advance:
+        problem = PersonProblem.of(
+            known, setting=chosen, population=setting.population, states=states, misconception=known_to_robot,
+            time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance,
+        )  # fmt: skip
     return found, problem

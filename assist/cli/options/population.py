@@ -11,7 +11,8 @@ import click
 from ...declare.options import Given
 from ...people import user_code
 from ...person.settings import Setting
-from ..terminal.console import ExitCode, fail
+from ..terminal.console import usage_errors
+from .policies import policy_errors
 from .settings import record_of
 
 if TYPE_CHECKING:
@@ -61,14 +62,8 @@ def chosen_setting(kind: type[S], setting: Setting, given: Given[Any], *, rate: 
 
 def choice_model_of(people: str | None) -> ChoiceModel | None:
     """Return the choice model FILE.py:FUNCTION of a user. Expected errors end the command in one line."""
-    from ...people.user_code import UserCodeError
-
-    try:
+    with policy_errors(), usage_errors(user_code.UserCodeError):
         return None if people is None else choice_model(people)
-    except UserCodeError as error:
-        fail(str(error), ExitCode.FAILED)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
 
 
 def choice_model(people: str) -> ChoiceModel:

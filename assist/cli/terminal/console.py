@@ -72,6 +72,17 @@ def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
 
 
 @contextmanager
+def usage_errors(*others: type[ValueError]) -> Iterator[None]:
+    """Turn what is wrong with a given value into a usage error; errors of other kinds pass."""
+    try:
+        yield
+    except others:
+        raise
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+
+
+@contextmanager
 def kept_if_interrupted(finished: Callable[[], object]) -> Iterator[None]:
     """Let an interrupted command go on, so that it shows what is finished; the interrupt ends it afterwards.
 

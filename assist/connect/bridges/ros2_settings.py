@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import field
-from typing import Annotated, Any
+from typing import Annotated, Any, get_origin
 
 from pydantic import Field
 
-from ...declare.declared import AnyTable, Expected, Place, Text, Texts, declared
+from ...declare.declared import AnyTable, Expected, Place, Text, Texts, annotation_of, bare, declared
 from ...declare.refusals import Refusal
+from ...live.views import PersonView
 from .messages import (
     FIELD,
     EventKind,
@@ -28,7 +29,11 @@ from .mqtt_settings import VIEW
 
 STRING = "std_msgs/msg/String"
 ANSWER = "person", "id", "status", "detail", "seq"
-NULLABLE = {"reason", "cost_to_go", "state_probability", "question", "answered"}  # which messages of ROS cannot have
+IN_MESSAGES = {*ANSWER} | {
+    name for name in VIEW
+    if (kind := bare(annotation_of(PersonView, name))) in (str, int, bool) or get_origin(kind) is tuple
+}  # fmt: skip
+"""Fields that messages of ROS can have: always there, and no objects."""
 
 
 Name = Annotated[
@@ -155,7 +160,7 @@ class Ros2Settings(Observing):
             raise wrong("a topic occurs twice; expected one table for each", "observe")
         for place, output, known in (("advice", self.advice, VIEW), ("answers", self.answers, {*ANSWER})):
             if output is not None:
-                require_among(output.fields, known if output.type == STRING else known - NULLABLE, place)
+                require_among(output.fields, known if output.type == STRING else known & IN_MESSAGES, place)
         go_to = self.go_to
         if go_to is not None and robots > 1 and "{robot}" not in go_to.action:
             raise wrong(f"{go_to.action!r}; expected {{robot}} in it", "go_to", "action")

@@ -9,15 +9,22 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import MissingExtraError
-from planner.system.files import atomic
+from planner.system.files import atomic, remove_unfinished
 from planner.system.results import markdown_cell, markdown_table
+from planner.system.workers import outcomes
 
 from ...drawing.plots import style
 from . import wording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FIGURES = "figures"
 
@@ -37,6 +44,37 @@ def require(*packages: str) -> None:
     for package in packages:
         if importlib.util.find_spec(package) is None:
             raise MissingExtraError("reports need", package, "study")
+
+
+@dataclass(frozen=True)
+class ReportFigure:
+    """A figure of a report: its file name, its description, and the function that draws it."""
+
+    name: str
+    text: str
+    figure: Callable[[], Figure]
+
+
+def draw_all(figures: Sequence[ReportFigure], folder: Path, *, jobs: int = 1, dark: bool = True) -> None:
+    """Draw the figures of a report in its folder, on several processors; for dark backgrounds, too, unless not wanted.
+
+    They are drawn here for one job: starting a process takes longer than drawing a figure.
+    """
+    if jobs == 1:
+        for one in figures:
+            _draw(one, folder / FIGURES, dark)
+        return
+    try:
+        with closing(outcomes(_draw, figures, (folder / FIGURES, dark), jobs=jobs)) as drawn:
+            for _, outcome in drawn:
+                if isinstance(outcome, Exception):
+                    raise outcome
+    finally:
+        remove_unfinished([folder / FIGURES])  # files of stopped processes
+
+
+def _draw(one: ReportFigure, folder: Path, dark: bool) -> None:
+    style.save_for_pages(one.figure, folder, one.name, dark=dark)
 
 
 def write_files(folder: Path, summary: Any, text: str, page: str) -> None:

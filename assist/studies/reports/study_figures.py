@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,21 +13,12 @@ from ...drawing.plots.panels_by_name import MEASURES as SHOWN
 from ...drawing.plots.trade_off import trade_off_figure
 from ..cells import policy_of, pool_of
 from ..study import Cell, Condition, Study
+from .report_files import ReportFigure
 from .study_summary import MEASURES, Found, average, rows_of
 from .wording import Record, named
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True)
-class ReportFigure:
-    """A figure of the report: its file name, its description, and the function that draws it."""
-
-    name: str
-    text: str
-    figure: Callable[[], Figure]
 
 
 def pictures(found: Found, summary: Record) -> Iterator[ReportFigure]:

@@ -7,25 +7,21 @@ treated in `assist.studies.reports.study_claims`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from pathlib import Path
 
-from planner.system.files import remove_unfinished
 from planner.system.results import Result, markdown_table
-from planner.system.workers import outcomes
 
 from ...declare.declared import plain, sentences
-from ...drawing.plots import style
 from ..protocol import study_of
 from ..runner import load_study
 from ..statistics import FEW
 from ..study import OWN, Study, StudyPlan
 from . import report_files, study_claims
-from .report_files import FIGURES, html_page, rendered, write_files
-from .study_figures import ReportFigure, of_kinds, of_whom, pictures, watched
+from .report_files import ReportFigure, draw_all, html_page, rendered, write_files
+from .study_figures import of_kinds, of_whom, pictures, watched
 from .study_summary import ARM, MEASURES, Found, average
 from .wording import Record, beside, interval, named, number, prior, sign, varying, with_deviation
 
@@ -105,27 +101,9 @@ def write_report(study: Study | str | Path, folder: str | Path, *, jobs: int = 1
     """
     folder, study = Path(folder), study_of(study)
     report = Report.of(study, folder)
-    _draw_all(report.pictures, folder / FIGURES, jobs)
+    draw_all(report.pictures, folder, jobs=jobs)
     write_files(folder, report.summary, report.text, report.page(study.title))
     return report
-
-
-def _draw_all(pictures: Sequence[ReportFigure], folder: Path, jobs: int) -> None:
-    if jobs == 1:  # starting a process takes longer than drawing a figure
-        for picture in pictures:
-            _draw(picture, folder)
-        return
-    try:
-        with closing(outcomes(_draw, pictures, (folder,), jobs=jobs)) as drawn:
-            for _, outcome in drawn:
-                if isinstance(outcome, Exception):
-                    raise outcome
-    finally:
-        remove_unfinished([folder])  # files of stopped processes
-
-
-def _draw(picture: ReportFigure, folder: Path) -> None:
-    style.save_for_pages(picture.figure, folder, picture.name)
 
 
 def report_text(found: Found, summary: Record, pictures: dict[str, str]) -> str:

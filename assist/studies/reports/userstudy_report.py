@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 from planner.system.errors import InputFileError
 
 from ...declare.declared import NOTHING, is_declared, names_of, plain, shown
-from ...drawing.plots import style
 from ...drawing.plots import userstudy as draw
 from ...live.store import stored
 from ...person.settings import Setting
@@ -30,13 +29,13 @@ from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Tables, tables
 from . import report_files
 from .preregistration import compared
-from .report_files import FIGURES, html_page, rendered, write_files
+from .report_files import ReportFigure, draw_all, html_page, rendered, write_files
 from .userstudy_data import ALL, StudyData
 from .userstudy_summary import summarise
 from .wording import Wording, short
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 require = partial(report_files.require, "jinja2", "markdown")
 
@@ -76,7 +75,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
             f"{folder}: no {PLAN}; expected the folder of a study that has begun, or an unpacked export"
         )
     study = read(folder / PLAN, carried_out=True)
-    if any((folder / name).exists() for name in (JOURNAL, Path(JOURNAL).with_suffix(".jsonl"))):
+    if (folder / JOURNAL).exists():
         return study, tables(study, folder / JOURNAL)
     return study, Tables(**{name: list(rows(folder / f"{name}.csv", columns)) for name, columns in COLUMNS.items()})
 
@@ -121,18 +120,15 @@ def _written(folder: Path, out: Path, baseline: str | None) -> dict[str, Any]:
         study = replace(study, reference=baseline, confirmatory=())
     found = found.analysed()
     summary = summarise(study, found) | {"preregistration": compared(study, found, folder)}
-    pictures = dict(_pictures(study, found, summary))
-    for name, (_, figure) in pictures.items():
-        style.save_for_pages(figure, out / FIGURES, name, dark=False)
-    text = report_text(study, summary, {name: said for name, (said, _) in pictures.items()})
+    figures = list(_pictures(study, found, summary))
+    draw_all(figures, out, dark=False)
+    text = report_text(study, summary, {one.name: one.text for one in figures})
     page = html_page(study.title, text, dark=False, language=study.catalogue.tag)
     write_files(out, summary, text, page)
     return summary
 
 
-def _pictures(
-    study: UserStudy, found: Tables, summary: dict[str, Any]
-) -> Iterator[tuple[str, tuple[str, Callable[[], Figure]]]]:
+def _pictures(study: UserStudy, found: Tables, summary: dict[str, Any]) -> Iterator[ReportFigure]:
     texts, phrase, words = study.catalogue, study.catalogue.phrase, ReportWording(study.catalogue)
     shown = [one for one in summary["measures"] if any(cell["n"] for cell in one["cells"])]
     if shown:
@@ -140,20 +136,22 @@ def _pictures(
             one.name: {name: list(own.values()) for name, own in one.values.items()}
             for one in StudyData(study, found).measures
         }
-        yield "outcomes", (phrase("report.figures.outcomes"), partial(draw.outcomes_figure, shown, points, texts))
+        yield ReportFigure(
+            "outcomes", phrase("report.figures.outcomes"), partial(draw.outcomes_figure, shown, points, texts)
+        )
     differing = [one for one in shown if one["differences"]]
     if differing:
         text = phrase("report.differences.title", reference=study.reference)
-        yield "differences", (text, partial(draw.differences_figure, differing, study.reference, texts))
+        yield ReportFigure("differences", text, partial(draw.differences_figure, differing, study.reference, texts))
     for one in summary["questionnaires"]:
         if one["n"]:
             own = study.questionnaire(one["questionnaire"])
             names = {item.name: words.name(own.form, item) for item in own.scale}
             items = [row | {"condition": words.where(row["condition"])} for row in one["items"]]
             figure = partial(draw.scales_figure, one | {"items": items}, names, own.scale[0].ends[:2])
-            yield f"scales-{own.name}", (phrase("report.figures.scales", name=own.name), figure)
+            yield ReportFigure(f"scales-{own.name}", phrase("report.figures.scales", name=own.name), figure)
     if summary["flow"][0]["reached"]:
-        yield "flow", (phrase("report.figures.flow"), partial(draw.flow_figure, summary["flow"], texts))
+        yield ReportFigure("flow", phrase("report.figures.flow"), partial(draw.flow_figure, summary["flow"], texts))
 
 
 @dataclass(frozen=True)

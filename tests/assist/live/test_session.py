@@ -448,13 +448,6 @@ def test_a_folder_of_an_earlier_version_is_refused_in_one_line_that_names_it(
     assert "\n" not in str(error.value)
 
 
-def test_a_folder_with_a_journal_of_lines_is_refused(opened: Callable[..., Session], tmp_path: Path) -> None:
-    (tmp_path / "journal.jsonl").write_text("{}\n")
-    with pytest.raises(InputFileError, match=r"journal\.jsonl: was recorded by kitassist 1\.0, and only"):
-        opened()
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["journal.jsonl"]
-
-
 def test_many_threads_report_and_everything_happens_once(opened: Callable[..., Session], tmp_path: Path) -> None:
     session = opened()
     names = [f"p{number}" for number in range(8)]
