@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from assist.people.choices import Choices
@@ -72,7 +73,7 @@ def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, robot: np.nd
             assert made[n, m] == (robot[n, k] if there else 0)
 
 
-examples = settings(max_examples=25, deadline=None)
+examples = costly(12, 50)
 teams = {"seed": st.integers(0, 10**6), "robots": st.integers(1, 3), "equally_far": st.booleans()}
 
 
@@ -101,12 +102,12 @@ def test_attention_switching_as_defined(people: Pool, robots: int, never: bool, 
     switching = AttentionAgainstNever.of(people.policies) if never else AttentionSwitching()
     assert team.belief is not None
     score, best = np.full((TEAMS, robots, PEOPLE), -np.inf), np.zeros(team.x.shape, dtype=np.int64)
+    alone = [evaluate(one.pomdp, np.zeros(len(one.pomdp.robot_actions), dtype=np.int64)) for one in people.policies]
     for n, k in np.argwhere(team.active):
         policy, x, belief = people.policies[people.model[k]], team.x[n, k], team.belief[n, k]
         q = policy.q_values(np.array([x]), belief[None])[0]
         best[n, k] = q.argmax()
-        alone = evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))[x]
-        reference = (alone * belief).sum() if never else q[0]
+        reference = (alone[people.model[k]][x] * belief).sum() if never else q[0]
         if best[n, k]:
             score[n, :, k] = q.max() - reference - team.travel.c_move * team.travel.distance[team.location[n], k]
     robot, found = switching.scores(team)

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import pytest
-from conftest import graph_task, invoke, thinned
+from conftest import costly, graph_task, invoke, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field
@@ -133,23 +133,21 @@ def test_the_best_robot_is_nowhere_worse(robots: tuple[Robot, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "travel_time", "distance"),
+    ("name", "travel_time"),
     [
-        # The same takes seconds where `whittle` prices ways and `rollout` tries them out.
-        pytest.param(name, time, FAR, marks=[pytest.mark.slow] * (name in ("rollout", "whittle") and time > 0))
+        # Ways that take time take seconds where `whittle` prices them and `rollout` tries them out.
+        pytest.param(name, time, marks=[pytest.mark.slow] * ((name in ("rollout", "whittle")) == (time > 0)))
         for name in POLICIES
         for time in (0.0, 0.7)
     ],
 )
-def test_robots_without_a_difference_act_like_alike_ones(
-    pool: Pool, name: str, travel_time: float, distance: list[list[float]]
-) -> None:
+def test_robots_without_a_difference_act_like_alike_ones(pool: Pool, name: str, travel_time: float) -> None:
     """An execution has another cost for one of them, and none executes actions."""
     two = replace(pool, setting=replace(pool.setting, travel_time=travel_time, robots=2))
     same = replace(two, setting=replace(two.setting, robots=(Robot(c_execute=9.0), Robot())))
     episodes = 3 if name == "rollout" else 12
     found = [
-        simulate(one, name, humans=3, episodes=episodes, seed=3, travel=one.setting.travel(3, distance))
+        simulate(one, name, humans=3, episodes=episodes, seed=3, travel=one.setting.travel(3, FAR))
         for one in (two, same)
     ]
     for column in ("discounted_return", "moves", "helped", "actions"):
@@ -215,7 +213,7 @@ def test_a_robot_that_may_not_execute_never_does(name: str, travel_time: float) 
         return action
 
     trace: Trace = []
-    found = simulate(pool, watched, humans=3, episodes=10 if name == "rollout" else 40, seed=2, trace=trace)
+    found = simulate(pool, watched, humans=3, episodes=4 if name == "rollout" else 15, seed=2, trace=trace)
     assert seen[0] == seen[2] == 0
     assert seen[1] == found.executed.sum() == sum(row["executed"] is not None for row in trace)
     assert (seen[1] > 0) == (name != "reactive")  # which only makes suggestions
@@ -502,7 +500,7 @@ def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
     return float(value[number[(choices.initial,) * 2, (BASE,) * len(robots)]])
 
 
-@settings(max_examples=3, deadline=None, derandomize=True)
+@settings(costly(2, 10), derandomize=True)
 @given(robots=st.lists(kinds_of_robots, min_size=2, max_size=2).map(tuple), execute=st.booleans())
 def test_the_bound_is_not_below_the_joint_optimum(robots: tuple[Robot, ...], execute: bool) -> None:
     robots = tuple(replace(robot, travel_time=None) for robot in robots)
@@ -519,11 +517,11 @@ def test_the_bound_is_not_below_the_joint_optimum(robots: tuple[Robot, ...], exe
         assert value.value - 4 * value.value_stderr <= best + 1e-6
 
 
-@pytest.mark.parametrize("second", [Waits(c_wait=0.1), Waits(c_wait=0.4, c_suggest=0.02), Waits(c_wait=0.0)])
-def test_a_cost_of_waiting_is_charged_weighed_and_bounded(second: Robot) -> None:
+@pytest.mark.parametrize("c_wait", thinned([0.4, 0.0]))
+def test_a_cost_of_waiting_is_charged_weighed_and_bounded(c_wait: float) -> None:
     setting = Setting(
         knowledge="exact", gamma=0.8, c_suggest=0.05, c_move=0.05, trust="constant", lapse=0.0,
-        robots=(Waits(c_wait=0.1), second),
+        robots=(Waits(c_wait=0.1), Waits(c_wait=c_wait, c_suggest=0.02)),
     )  # fmt: skip
     pool = known_people(setting)
     best = joint_optimum(pool, setting.fleet.robots)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import thinned
 from teams import reachable, run
 
 from assist.people.choices import Choices
@@ -49,7 +50,7 @@ def test_memory_is_known_before_it_is_taken(fixed: Table, options: dict[str, Any
     assert ("knowledge 'exact'" in str(refused.value)) == (len(pool.policies) > 1)
 
 
-@pytest.mark.parametrize("policy", ["none", "reactive", "attention", "attention-never", "priority"])
+@pytest.mark.parametrize("policy", thinned(["none", "reactive", "attention", "attention-never", "priority"]))
 def test_only_people_who_are_drawn_are_solved_and_results_are_the_same(tiny_choices: Choices, policy: str) -> None:
     solved: list[AssistPOMDP] = []
 
