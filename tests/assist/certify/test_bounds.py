@@ -113,7 +113,7 @@ def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
     assert (found.price >= 0).all()
     certified = {}
     for name in POLICIES:
-        episodes = {"rollout": 2, "priority": 4000}.get(name, 300)
+        episodes = {"rollout": 2, "priority": 1500}.get(name, 200)
         certificate = certified[name] = found.certify(pool.policy(name), name, episodes=episodes)
         assert certificate.value <= certificate.upper + 4 * certificate.value_stderr
         expected = 100 * (certificate.upper - certificate.value) / abs(certificate.value)
@@ -144,14 +144,14 @@ def test_a_robot_for_everybody_gets_more_than_one_robot_and_no_more_than_the_bou
     pool: Pool, together: TeamBound
 ) -> None:
     found = together
-    shared = found.certify(pool.policy("priority"), episodes=4000)
-    mean, error = relaxed_value(found, episodes=4000)
+    shared = found.certify(pool.policy("priority"), episodes=1500)
+    mean, error = relaxed_value(found, episodes=1500)
     assert 0 < error < 0.1
     assert shared.value + 3 * shared.value_stderr < mean <= found.upper + 3 * error
     assert found.upper - found.slack <= mean + 4 * error  # QMDP's policies lose nothing to speak of there
     alone = upper_bound(pool, (0,))
-    mean, error = relaxed_value(alone, episodes=4000)  # nothing is relaxed for a team of one
-    best = alone.certify(pool.policy("priority"), episodes=4000)
+    mean, error = relaxed_value(alone, episodes=1500)  # nothing is relaxed for a team of one
+    best = alone.certify(pool.policy("priority"), episodes=1500)
     assert mean == pytest.approx(best.value, abs=4 * (error + best.value_stderr))
 
 

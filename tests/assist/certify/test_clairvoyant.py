@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke, kit
+from conftest import KITTING, invoke, kit, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq, linprog
@@ -304,7 +304,7 @@ def test_the_search_finds_the_least(
     check_the_search(short_sighted, alpha, monkeypatch)
 
 
-@pytest.mark.parametrize("alpha", [0.0, 0.75])
+@pytest.mark.parametrize("alpha", thinned([0.75, 0.0]))
 def test_the_search_for_two_robots_finds_the_least(
     alpha: float, two_robots: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT, invoke
+from conftest import ROOT, invoke, thinned
 from crosscheck import EASY
 from graphs import graph_task
 
@@ -104,18 +104,16 @@ def test_with_certainty_the_bound_is_that_of_people_with_that_goal() -> None:
     certain, known = (bound_of(one) for one in (ring((0.0, 1.0, 0.0)), goals.tables["place-3"]))
     assert certain.price == pytest.approx(known.price)
     assert certain.upper == pytest.approx(known.upper, rel=1e-9)
-    alone = bound_of(Goals({"place-3": goals.tables["place-3"]}))
-    assert (alone.upper, alone.price.tobytes()) == (known.upper, known.price.tobytes())
 
 
-@pytest.mark.parametrize("travel_time", [0, 1])
+@pytest.mark.parametrize("travel_time", thinned([1, 0]))
 def test_policies_are_compared_with_the_bound(travel_time: int) -> None:
     found = bound_of(ring(), travel_time=travel_time, knowledge="exact")
     assert len(found.price)
     for name in ("none", "attention", "priority"):
-        certificate = found.certify(name, episodes=500)
+        certificate = found.certify(name, episodes=200)
         assert certificate.value - 4 * certificate.value_stderr <= certificate.upper
-    mean, error = relaxed_value(found, episodes=500)
+    mean, error = relaxed_value(found, episodes=200)
     assert mean - 4 * error <= found.upper
     run = simulate(found.pool, found.policy(), humans=list(found.team), episodes=300, seed=1, world="model")
     mean, error = run.discounted_return.mean(), run.discounted_return.std() / 300**0.5

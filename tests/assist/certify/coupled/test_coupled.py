@@ -187,9 +187,9 @@ def exact_value(agents: Agents, act: Any, resources: float) -> float:
 @pytest.mark.parametrize("seed", thinned(range(3), 3))
 def test_simulated_means_are_the_policys_value(seed: int) -> None:
     agents = problem(seed, 3)
-    act, solved = policy(agents, "benefit", 1), bound(agents, 1)
+    act, solved = policy(agents, "benefit", 1), bound(agents, 1, window=12)
     wanted = exact_value(agents, act, 1)
-    plain, varied = (simulate(agents, act, 1, runs=1500, seed=seed, control=one) for one in (None, solved))
+    plain, varied = (simulate(agents, act, 1, runs=600, seed=seed, control=one) for one in (None, solved))
     for run in (plain, varied):
         assert abs(run.value - wanted) < 4 * run.stderr + run.rest
     assert varied.stderr < plain.stderr
@@ -239,7 +239,7 @@ def test_policies_are_below_the_bound(seed: int, name: str) -> None:
 
 def test_a_given_bound_is_for_the_same_units_of_the_resource() -> None:
     agents = problem(3, 2)
-    solved = bound(agents, 1)
+    solved = bound(agents, 1, window=12)
     assert joint_optimum(agents, 2) > solved.upper
     with pytest.raises(ValueError, match="resources 2: expected 1, as the given bound is for"):
         sampled_bound(agents, 2, prices=solved)
