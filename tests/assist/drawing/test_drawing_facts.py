@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import DOMAINS
+from conftest import DOMAINS, thinned
 from PIL import Image
 
 from assist.drawing import (
@@ -188,7 +188,7 @@ def test_each_part_of_the_goal_is_visible_whether_it_holds_or_not(drawn: tuple[A
             assert changed(*together(artist, without, values), names), wanted.text
 
 
-@pytest.mark.parametrize("drawn", CASES, indirect=True)
+@pytest.mark.parametrize("drawn", thinned(CASES, 3), indirect=True)
 def test_objects_stay_where_they_are_over_the_frames_of_a_plan(drawn: tuple[Artist, tuple[str, ...]]) -> None:
     artist, plan = drawn
     layouts = artist.layouts(artist.subject.follow(plan), WIDTH / 2)
@@ -213,7 +213,7 @@ def test_objects_stay_where_they_are_over_the_frames_of_a_plan(drawn: tuple[Arti
                     assert apart, (one.node.key, two.node.key)
 
 
-@pytest.mark.parametrize("drawn", CASES, indirect=True)
+@pytest.mark.parametrize("drawn", thinned(CASES, 3), indirect=True)
 def test_text_is_large_enough_where_pictures_are_as_wide_as_a_page(drawn: tuple[Artist, tuple[str, ...]]) -> None:
     artist, plan = drawn
     rows = plan_frames(artist, plan)
