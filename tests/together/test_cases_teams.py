@@ -71,14 +71,14 @@ def test_a_policy_that_weighs_costs_says_that_none_was_worth_it(policy: str, tin
         solved.append(problem)
         return qmdp(problem)
 
-    pool = pool_at(tiny, 40.0, solver=solver)
-    found = simulate(pool, policy, humans=2, episodes=20, seed=3)
+    pool, episodes = pool_at(tiny, 40.0, solver=solver), 2 if policy == "rollout" else 20
+    found = simulate(pool, policy, humans=2, episodes=episodes, seed=3)
     assert not found.interventions.any()
     assert len(solved) <= len(pool.people)
     summary = found.summary()
     assert str(summary).endswith("; no suggestion was worth its cost (c_suggest 40)")
     assert summary.record()["c_suggest_too_high"] == 40.0
-    speaks = simulate(pool_at(tiny, 0.05), policy, humans=2, episodes=20, seed=3)
+    speaks = simulate(pool_at(tiny, 0.05), policy, humans=2, episodes=episodes, seed=3)
     assert speaks.c_suggest_too_high is None
     assert "worth" not in str(speaks.summary())
 
@@ -132,7 +132,7 @@ def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
     printed = {}
     for jobs in (1, 2):
         out, trace = (tmp_path / f"{jobs}-{name}.jsonl" for name in ("out", "trace"))
-        command = ("simulate", TINY, "--humans", 2, "--policy", "priority", "--episodes", 150, "--c-suggest", 0.2)
+        command = ("simulate", TINY, "--humans", 2, "--policy", "priority", "--episodes", 70, "--c-suggest", 0.2)
         result = invoke(*command, "--jobs", jobs, "--out", out, "--trace", trace)
         assert result.exit_code == 0, result.stderr
         printed[jobs] = (result.stdout, out.read_bytes(), trace.read_bytes())
@@ -232,7 +232,7 @@ def test_ctrl_c_leaves_the_policies_that_were_compared_with_a_bound(
         "from assist.team.baselines import NoAssistance\n\n\ndef stop(team):\n"
         "    if len(team.active) <= 24:\n        return NoAssistance()(team)\n    raise KeyboardInterrupt\n"
     )
-    command = ("bound", TINY, "--humans", 2, "--gap", 0.2, "--value-episodes", 50)
+    command = ("bound", TINY, "--humans", 2, "--gap", 0.2, "--value-episodes", 50, "--set", "gamma=0.8")
     result = invoke(*command, "--policy", "none", "--policy", f"{own}:stop")
     assert (result.exit_code, result.stderr) == (130, "interrupted; what was finished by then is shown\n")
     assert [line.split()[0] for line in result.stdout.splitlines()[:2]] == ["policy", "none"]
@@ -265,7 +265,7 @@ def test_ctrl_c_leaves_the_bounds_on_one_person(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize("stage", ["the first person", "the second person", "sample paths"])
 def test_ctrl_c_leaves_a_bound_on_what_was_computed(stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """People whose problems have not been bounded count as if they had the robot to themselves."""
-    more = ("--value-episodes", 2, "--policy", "none", "--jobs", 1, "--json")
+    more = ("--value-episodes", 2, "--policy", "none", "--jobs", 1, "--set", "gamma=0.8", "--json")
     command = ("bound", TINY, "--humans", 2, "--gap", 0.5, *more)
     several: tuple[object, ...] = ("--samples", 30) if stage == "sample paths" else ("--robots", 2)
     solved: list[float] = []

@@ -76,12 +76,12 @@ def test_without_a_result_the_error_says_how_far_it_came(name: str) -> None:
 FINISHED: dict[str, tuple[Callable[[float | None], Any], Callable[[Any], Any]]] = {
     "simulate": (
         lambda limit: simulate(
-            Pool.sample("kitting/tiny", 2, seed=0), "none", humans=2, episodes=500, seed=0, time_limit=limit
+            Pool.sample("kitting/tiny", 2, seed=0), "none", humans=2, episodes=130, seed=0, time_limit=limit
         ),
         len,
     ),
     "compare": (
-        lambda limit: compare(Pool.sample("kitting/tiny", 2, seed=0), "none", humans=2, episodes=200, time_limit=limit),
+        lambda limit: compare(Pool.sample("kitting/tiny", 2, seed=0), "none", humans=2, episodes=130, time_limit=limit),
         lambda found: found[0].summary.episodes,
     ),
     "fit": (lambda limit: fit("kitting/tiny", recorded(), model="misconceptions", time_limit=limit), len),
@@ -95,7 +95,7 @@ FINISHED: dict[str, tuple[Callable[[float | None], Any], Callable[[Any], Any]]] 
         lambda limit: qmdp(Pool.sample("kitting/paper", 1, seed=0).policies[0].pomdp, time_limit=limit),
         lambda found: -float(found.value_mdp.sum()),
     ),
-    "coupled.bound": (lambda limit: bound(agents(4, 2), 1, time_limit=limit), lambda found: -found.upper),
+    "coupled.bound": (lambda limit: bound(agents(4, 2), 1, window=20, time_limit=limit), lambda found: -found.upper),
     "coupled.joint_optimum": (lambda limit: joint_optimum(agents(), 1, time_limit=limit), lambda found: -found.error),
     "coupled.sampled_bound": (lambda limit: sampled_bound(agents(2), 1, time_limit=limit), lambda found: found.paths),
     "coupled.simulate": (
