@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlencode
 
-import pytest
+import httpx2 as httpx
 from conftest import KITTING
 from serving import served
-from test_live_pages import CHROMIUM, chromium
+from test_cases_networks import has_done, line
 from test_userstudy_pages import PATIENCE
 from userstudies import PLAN, SCORES, Part, written
 
@@ -25,10 +25,9 @@ from assist.studies.reports.userstudy_report import write_report
 from assist.studies.study import Study
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import StudySession
-from planner import Table, load
+from planner import Table, cost_to_go, load
 from planner.system.results import markdown_cell, markdown_table
 
-__all__ = ["chromium"]
 IMAGE = "<img src=x onerror=window.ran=1>"
 RUNS = f"</title></script><script>window.ran=1</script>{IMAGE}[x](javascript:window.ran=1)"
 ATTACKED = (
@@ -75,7 +74,6 @@ def test_a_cell_is_one_line_of_one_cell() -> None:
     assert markdown_cell("a|b\n| c |\r\n# d <script> 1 < 2") == "a\\|b \\| c \\| # d &lt;script> 1 < 2"
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 def test_no_script_in_a_report_runs(chromium: Any, tiny: Table, tmp_path: Path) -> None:
     """The reason of an exclusion, titles, names of conditions, questions and their options; figures are shown."""
     study = read(written(tmp_path / "study.toml", ATTACKED))
@@ -105,95 +103,6 @@ def test_no_script_in_a_report_runs(chromium: Any, tiny: Table, tmp_path: Path) 
     context.close()
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
-def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any, tiny: Table, tmp_path: Path) -> None:
-    """Every page obeys a policy without inline scripts. What the policy had to stop is only what researchers wrote."""
-    file = written(tmp_path / "study.toml", ATTACKED)
-    with served("--study", file, "--data", tmp_path / "data", instance=None) as study:
-        context = chromium.new_context()
-        context.add_init_script(WATCH)
-        page = context.new_page()
-        page.set_default_timeout(PATIENCE)
-        for path in ("/", "/study/nowhere", "/docs"):
-            page.goto(study.url + path)
-            page.wait_for_selector("h1")
-            assert page.evaluate("[window.ran, window.blocked]") == [None, []], path
-        page.goto(study.links["everybody"])
-        page.wait_for_selector("#form button")
-        page.click("#evil")
-        assert page.evaluate("window.ran ?? null") is None
-        person = page.url.partition("/part/")[2].partition("#")[0]
-        for stage in ("consent", "instructions"):
-            answer = study.ask("POST", f"/api/study/participants/{person}/onward", json={"stage": stage})
-            assert answer.status_code == 200
-        page.wait_for_selector("#drawing svg")  # the page goes there by itself
-        assert page.evaluate("[window.ran, window.blocked]") == [None, []]
-        view = study.ask("GET", f"/api/people/{person}").json()
-        assert view["study"]["kind"] == "practice"
-        kinds = set[str]()
-        while view["study"]["kind"] != "thanks":  # the pages of all later stages
-            at, what = view["study"], view["study"]["what"]
-            kinds.add(at["kind"])
-            if at["kind"] in ("practice", "task"):
-                page.wait_for_selector("#drawing svg")
-                for action in tiny.optimal_plan(tiny.initial) or ():
-                    answer = study.ask("POST", f"/api/people/{person}/actions", json={"action": action})
-                    assert answer.status_code == 200, answer.text
-            else:
-                page.wait_for_selector("#form button")
-            assert page.evaluate("window.ran ?? null") is None, at
-            body = {"stage": at["stage"], "answers": SCORES.get(what, {}) if at["kind"] == "questionnaire" else None}
-            answer = study.ask("POST", f"/api/study/participants/{person}/onward", json=body)
-            assert answer.status_code == 200, answer.text
-            view = answer.json()
-        page.wait_for_selector("#stage-title:has-text('Thank you')")
-        assert page.evaluate("[window.ran, window.blocked]") == [None, []]
-        assert kinds >= {"practice", "task", "questionnaire"}
-        study.ask("POST", f"/api/study/participants/{person}/exclude", json={"reason": RUNS})
-        page.goto(study.operator)
-        page.wait_for_selector(f"#people td:has-text('{IMAGE}')")
-        assert page.evaluate("[window.ran, window.blocked]") == [None, []]
-        page.goto(study.links["everybody"].replace("/study#", "/study?withdraw#"))
-        page.fill("#code", IMAGE)
-        page.click("#withdraw button")
-        page.wait_for_selector("#text:has-text('no such code')")
-        assert page.evaluate("[window.ran, window.blocked]") == [None, []]
-        context.close()
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
-def test_the_pages_of_a_team_obey_the_policy_too(chromium: Any, tmp_path: Path) -> None:
-    with served("--humans", 2, "--data", tmp_path / "data") as team:
-        context = chromium.new_context()
-        context.add_init_script(WATCH)
-        operator, seat = context.new_page(), context.new_page()
-        operator.goto(team.operator)
-        operator.wait_for_selector(".card")
-        reason = {"reason": IMAGE}
-        assert team.ask("DELETE", "/api/people/person-2/records", params=reason).status_code == 200
-        operator.wait_for_selector(".card:has-text('person-2')", state="detached")
-        operator.fill("#name", "d'Arc")
-        operator.click("#add button")
-        operator.wait_for_selector('.card:has-text("d\'Arc")')
-        operator.fill("#name", IMAGE)
-        operator.click("#add button")
-        operator.wait_for_selector("#problem:not([hidden])")
-        seat.goto(team.links["person-1"])
-        seat.click("#actions button")
-        seat.wait_for_function("() => document.getElementById('steps').textContent === '1'")
-        seat.click("#undo")
-        seat.wait_for_function("() => document.getElementById('steps').textContent === '0'")
-        operator.wait_for_selector("#log td:has-text('undone')")
-        for page in (operator, seat):
-            assert page.evaluate("[window.ran, window.blocked]") == [None, []]
-            page.evaluate(
-                "markup => { document.querySelector('main').insertAdjacentHTML('beforeend', markup); }", IMAGE
-            )
-            page.wait_for_function("() => window.blocked.length")  # the policy is in force
-            assert page.evaluate("window.ran ?? null") is None
-        context.close()
-
-
 def kits(folder: Path) -> Path:
     """Write a task whose file is named like markup, with words of a domain that are markup; return the file."""
     folder.mkdir()
@@ -206,7 +115,101 @@ def kits(folder: Path) -> Path:
     return Path(shutil.copy(KITTING / "tiny.pddl", folder / f"{IMAGE}.pddl"))
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any, tmp_path: Path) -> None:
+    """Every page obeys a policy without inline scripts. What the policy had to stop is only what researchers wrote."""
+    task = kits(tmp_path / "kits")
+    file = written(tmp_path / "study.toml", ATTACKED.replace(str(KITTING / "tiny.pddl"), str(task)))
+    with served("--study", file, "--data", tmp_path / "data", instance=None) as study:
+        context = chromium.new_context()
+        context.add_init_script(WATCH)
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        link = study.links["everybody"]
+        marked = f"{link.replace('#', '?' + urlencode({'participant': IMAGE, 'withdraw': IMAGE, 'x': RUNS}) + '#')}"
+        named = [f"{study.url}/{kind}/{quote(IMAGE, safe='')}#{quote(IMAGE)}" for kind in ("part", "join")]
+        own = [study.url + path for path in ("/", "/study/nowhere", "/docs")]
+        for address in (*own, marked, *named, f"{study.url}/study/operator?{urlencode({'x': IMAGE})}#{quote(IMAGE)}"):
+            page.goto(address)
+            page.wait_for_selector("h1", state="attached")
+            page.wait_for_load_state("networkidle")
+            assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []], address
+        page.goto("about:blank")
+        context.clear_cookies()
+        page.goto(link)
+        page.wait_for_selector("#form button")
+        page.click("#evil")
+        assert page.evaluate("window.ran ?? null") is None
+        person = page.url.partition("/part/")[2].partition("#")[0]
+        for stage in ("consent", "instructions"):
+            assert study.ask("POST", f"/api/study/participants/{person}/onward", json={"stage": stage}).is_success
+        page.wait_for_selector(f"#actions button:has-text('{IMAGE} Fetch box-a')")  # the page goes there by itself
+        page.wait_for_selector("#drawing svg")
+        page.click("#actions button")
+        page.wait_for_function("() => document.getElementById('steps').textContent === '1'")
+        assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
+        study.ask("POST", f"/api/people/{person}/actions", json={"action": "(return box-a)"})
+        view = study.ask("GET", f"/api/people/{person}").json()
+        kinds = set[str]()
+        plan = cost_to_go(load(task)).optimal_plan() or []
+        while view["study"]["kind"] != "thanks":  # the pages of all later stages
+            at, what = view["study"], view["study"]["what"]
+            kinds.add(at["kind"])
+            if at["kind"] in ("practice", "task"):
+                page.wait_for_selector("#drawing svg")
+                for action in plan:
+                    answer = study.ask("POST", f"/api/people/{person}/actions", json={"action": action})
+                    assert answer.status_code == 200, answer.text
+            else:
+                page.wait_for_selector("#form button")
+            assert page.evaluate("window.ran ?? null") is None, at
+            body = {"stage": at["stage"], "answers": SCORES.get(what, {}) if at["kind"] == "questionnaire" else None}
+            answer = study.ask("POST", f"/api/study/participants/{person}/onward", json=body)
+            assert answer.status_code == 200, answer.text
+            view = answer.json()
+        page.wait_for_selector("#stage-title:has-text('Thank you')")
+        assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
+        assert kinds >= {"practice", "task", "questionnaire"}
+        study.ask("POST", f"/api/study/participants/{person}/exclude", json={"reason": RUNS})
+        page.goto(study.operator)
+        page.wait_for_selector(f"#people td:has-text('{IMAGE}')")
+        assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
+        page.goto(link.replace("/study#", "/study?withdraw#"))
+        page.fill("#code", IMAGE)
+        page.click("#withdraw button")
+        page.wait_for_selector("#text:has-text('no such code')")
+        assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
+        packed = zipfile.ZipFile(io.BytesIO(study.ask("GET", "/api/study/export").content))
+        assert not any("/" in name or name.startswith(".") for name in packed.namelist())
+
+
+def test_the_pages_of_a_team_obey_the_policy_too(chromium: Any, tiny: Table, tmp_path: Path) -> None:
+    with line(tiny, tmp_path, chromium) as here:
+        here.context.add_init_script(WATCH)
+        operator, seat = here.page(None), here.page()
+        headers = {"Authorization": f"Bearer {here.access.operator}"}
+        erased = httpx.delete(f"{here.behind}/api/people/bob/records", params={"reason": IMAGE}, headers=headers)
+        assert erased.status_code == 200
+        operator.wait_for_selector(".card:has-text('bob')", state="detached")
+        operator.fill("#name", "d'Arc")
+        operator.click("#add button")
+        operator.wait_for_selector('.card:has-text("d\'Arc")')
+        operator.fill("#name", IMAGE)
+        operator.click("#add button")
+        operator.wait_for_selector("#problem:not([hidden])")
+        seat.click("#actions button")
+        has_done(seat, 1)
+        seat.click("#undo")
+        has_done(seat, 0)
+        operator.wait_for_selector("#log td:has-text('undone')")
+        for page in (operator, seat):
+            assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
+            page.evaluate(
+                "markup => { document.querySelector('main').insertAdjacentHTML('beforeend', markup); }", IMAGE
+            )
+            page.wait_for_function("() => window.blocked.length")  # the policy is in force
+            assert page.evaluate("window.ran ?? null") is None
+
+
 def test_no_script_in_a_drawing_or_its_animation_runs(chromium: Any, tmp_path: Path) -> None:
     """A file name of a task, and the words of a domain; without the page's own policy, too."""
     task = load(kits(tmp_path / "kits"))
@@ -224,61 +227,15 @@ def test_no_script_in_a_drawing_or_its_animation_runs(chromium: Any, tmp_path: P
         assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []], name
         assert page.locator("script, img").count() == 0
         assert IMAGE in page.evaluate("document.documentElement.textContent")
-    context.close()
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
-def test_no_script_in_a_task_or_an_address_runs_on_a_page(chromium: Any, tmp_path: Path) -> None:
-    file = kits(tmp_path / "kits")
-    plan = PLAN.replace(str(KITTING / "tiny.pddl"), str(file))
-    with served("--study", written(tmp_path / "study.toml", plan), "--data", tmp_path / "data", instance=None) as study:
-        context = chromium.new_context()
-        context.add_init_script(WATCH)
-        page = context.new_page()
-        page.set_default_timeout(PATIENCE)
-        link = study.links["everybody"]
-        marked = f"{link.replace('#', '?' + urlencode({'participant': IMAGE, 'withdraw': IMAGE, 'x': RUNS}) + '#')}"
-        named = [f"{study.url}/{kind}/{quote(IMAGE, safe='')}#{quote(IMAGE)}" for kind in ("part", "join")]
-        for address in (marked, *named, f"{study.url}/study/operator?{urlencode({'x': IMAGE})}#{quote(IMAGE)}"):
-            page.goto(address)
-            page.wait_for_load_state("networkidle")
-            assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []], address
-        page.goto("about:blank")
-        context.clear_cookies()
-        page.goto(link)
-        page.wait_for_selector("#form button")
-        person = page.url.partition("/part/")[2].partition("#")[0]
-        for stage in ("consent", "instructions"):
-            assert study.ask("POST", f"/api/study/participants/{person}/onward", json={"stage": stage}).is_success
-        page.wait_for_selector(f"#actions button:has-text('{IMAGE} Fetch box-a')")
-        page.wait_for_selector("#drawing svg")
-        page.click("#actions button")
-        page.wait_for_function("() => document.getElementById('steps').textContent === '1'")
-        assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
-        page.goto(study.operator)
-        page.wait_for_selector("#people td")
-        assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
-        context.close()
-        packed = zipfile.ZipFile(io.BytesIO(study.ask("GET", "/api/study/export").content))
-        assert not any("/" in name or name.startswith(".") for name in packed.namelist())
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
-def test_the_report_of_a_study_with_simulated_people_needs_no_script(
-    chromium: Any, small_study: tuple[Study, Path, dict[str, Any]], tmp_path: Path
+def test_the_report_of_a_study_with_simulated_people_shows_markup_as_it_is_written(
+    small_study: tuple[Study, Path, dict[str, Any]],
 ) -> None:
     """Its conditions and tasks have names that are markup."""
     study, folder, _ = small_study
     found = Report.of(study, folder)
-    first = next(name for name in ("tiny", "paper") if name in found.text)
-    shown = replace(found, text=found.text.replace(first, markdown_cell(RUNS)))
-    (tmp_path / "report.html").write_text(shown.page(RUNS))
-    shutil.copytree(folder / "figures", tmp_path / "figures") if (folder / "figures").exists() else None
-    context = chromium.new_context()
-    context.add_init_script(WATCH)
-    page = context.new_page()
-    page.goto((tmp_path / "report.html").as_uri())
-    assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
-    assert page.locator("script").count() == 0
-    assert IMAGE in page.evaluate("document.body.textContent")
-    context.close()
+    page = replace(found, text=found.text.replace("tiny", markdown_cell(RUNS))).page(RUNS)
+    assert "&lt;script&gt;window.ran=1" in page
+    assert "<script" not in page
+    assert IMAGE not in page

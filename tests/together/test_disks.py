@@ -8,19 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
-from conftest import KITTING
+from conftest import KITTING, invoke
 from disks import full, sealed, small
 from networks import conducted, running
-from serving import TINY, served
+from serving import TINY
 from test_cases_networks import Line, has_done, says
 from test_cases_withdrawal import answers
 from test_event_store import content
-from test_live_pages import CHROMIUM, chromium
-from test_userstudy_pages import PATIENCE, Web
+from test_userstudy_pages import PATIENCE
 from userstudies import PLAN, Part, written
 
-from assist.cli import main
 from assist.live import Acted, Joined, Session
 from assist.live.store import JournalError, stored
 from assist.person.settings import Setting
@@ -29,8 +26,6 @@ from assist.studies.userstudy.session import JOURNAL, StudySession
 from assist.web.server import listen
 from planner import Table
 
-__all__ = ["chromium"]
-in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 UNSAVED = "No space left on device at the last attempt"
 
 
@@ -94,28 +89,6 @@ def test_who_withdraws_or_is_erased_on_a_full_disk_is_removed_when_there_is_room
         assert ("eve" in again.people) == (how == "withdraw")
 
 
-def test_a_study_on_a_full_disk_can_be_read_and_exported(tiny: Table, disk: Path) -> None:
-    """The export is made in memory; the researcher is told of the fault beside the data that are there."""
-    web = Web(tiny, disk)
-    with web.client:
-        ann = web.come("ann").json()["person"]
-        web.onward(ann, "consent")
-        with full(disk):
-            answer = web.onward(ann, "instructions", id="once")
-            for number in range(60):  # what is left of the last pages
-                if answer.status_code != 200:
-                    break
-                answer = web.come(f"{number}")
-            assert (answer.status_code, answer.json()["detail"]) == (
-                507, "No space left on device; nothing was recorded",
-            )  # fmt: skip
-            assert web.ask("GET", "/api/study").json()["problems"] == [f"events cannot be saved: {UNSAVED}"]
-            assert web.ask("GET", "/api/study/export").status_code == 200
-            assert web.client.get("/api/health", params={"ready": True}).status_code == 503
-        assert web.onward(ann, "instructions", id="once").status_code == 200
-        assert web.ask("GET", "/api/study").json()["problems"] == []
-
-
 def without_preparing(said: str) -> list[str]:
     """Return the lines of a service that ended, but for that which says what it prepares."""
     return [line for line in said.splitlines() if not line.startswith("preparing ")]
@@ -129,7 +102,7 @@ def test_a_folder_that_cannot_be_written_is_said_in_one_line(tmp_path: Path, stu
     words = ["--study", file] if study else [KITTING / "tiny.pddl", "--humans", 2]
     with sealed(folder):
         for data in (folder, folder / "below"):
-            refused = CliRunner().invoke(main, ["serve", *map(str, words), "--data", str(data), "--port", "0"])
+            refused = invoke("serve", *words, "--data", data, "--port", 0)
             assert refused.exit_code == 1, refused.output
             (said,) = without_preparing(refused.stderr)
             assert "Read-only file system" in said
@@ -137,22 +110,21 @@ def test_a_folder_that_cannot_be_written_is_said_in_one_line(tmp_path: Path, stu
 
 
 @pytest.mark.parametrize("study", [False, True], ids=["team", "study"])
-def test_a_second_service_on_one_folder_is_refused_in_one_line_and_disturbs_nobody(tmp_path: Path, study: bool) -> None:
+def test_a_second_service_on_one_folder_is_refused_in_one_line_and_disturbs_nobody(
+    tiny: Table, tmp_path: Path, study: bool
+) -> None:
     folder, file = tmp_path / "data", written(tmp_path / "study.toml")
-    words: list[Any] = ["--study", file] if study else ["--humans", 2]
-    with served(*words, "--data", folder, instance=None if study else TINY) as first:
-        own: list[Any] = words if study else [TINY, *words]
-        again = CliRunner().invoke(main, ["serve", *map(str, own), "--data", str(folder), "--port", "0"])
+    tasks = {"tiny": tiny, "practice": tiny}
+    with closing(StudySession(read(file), tasks, folder) if study else Session(tiny, folder / JOURNAL)) as first:
+        words = ["--study", file] if study else [TINY, "--humans", 2]
+        again = invoke("serve", *words, "--data", folder, "--port", 0)
         assert (again.exit_code, len(without_preparing(again.stderr))) == (2, 1), again.output
         assert "the folder is in use by a running session; expected another folder" in again.stderr
-        assert first.ask("GET", "/api/health").json()["ready"]
-        body = {"id": "a visit"}
-        answer = (
-            first.ask("POST", "/api/study/seats", "everybody", json=body)
-            if study
-            else first.ask("POST", "/api/people/person-1/actions", json={"action": "(fetch box-a)"})
-        )
-        assert answer.status_code == 200
+        if study:
+            Part(first, "ann").come()
+        else:
+            first.join("ann")
+        assert first.people == ("ann",)
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -163,10 +135,10 @@ def test_a_study_whose_folder_cannot_be_written_any_more_can_be_reported(tiny: T
     answers(ann)
     session.close()
     with sealed(tmp_path / "data"):
-        refused = CliRunner().invoke(main, ["study-report", str(tmp_path / "data")])
+        refused = invoke("study-report", tmp_path / "data")
         assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)
         assert "Read-only file system" in refused.stderr
-        made = CliRunner().invoke(main, ["study-report", str(tmp_path / "data"), "--out", str(tmp_path / "out")])
+        made = invoke("study-report", tmp_path / "data", "--out", tmp_path / "out")
         assert made.exit_code == 0, made.output
         assert len(stored(tmp_path / "data" / JOURNAL)[1]) > 5
 
@@ -179,18 +151,18 @@ def test_a_report_for_which_there_is_no_room_is_said_in_one_line_and_leaves_noth
     ann.come()
     answers(ann)
     session.close()
-    words = ["study-report", str(tmp_path / "data"), "--out", str(disk / "report")]
+    words = ["study-report", tmp_path / "data", "--out", disk / "report"]
     with full(disk):
-        refused = CliRunner().invoke(main, words)
+        refused = invoke(*words)
         assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1), refused.output
         assert "No space left on device" in refused.stderr
         assert [file.name for file in disk.rglob("*") if file.is_file()] == ["ballast"]
-    assert CliRunner().invoke(main, words).exit_code == 0
+    assert invoke(*words).exit_code == 0
     assert (disk / "report" / "report.html").stat().st_size > 1000
 
 
-@in_a_browser
 @pytest.mark.long
+@pytest.mark.slow
 def test_people_and_the_operator_of_a_team_see_that_the_disk_is_full_and_nothing_is_lost(
     chromium: Any, tiny: Table, disk: Path
 ) -> None:
@@ -228,7 +200,6 @@ def test_people_and_the_operator_of_a_team_see_that_the_disk_is_full_and_nothing
     assert here.faults == []
 
 
-@in_a_browser
 @pytest.mark.long
 def test_a_participant_and_the_researcher_see_that_the_disk_is_full_and_nothing_is_lost(
     chromium: Any, tiny: Table, disk: Path

@@ -130,7 +130,7 @@ def test_what_stands_in_an_address_is_not_in_its_page(web: Web, kind: str) -> No
         assert "script-src 'self';" in answer.headers["content-security-policy"]
 
 
-def test_no_header_bends_a_link_or_names_another_address(web: Web, tiny: Table, tmp_path: Path) -> None:
+def test_no_header_bends_a_link_or_names_another_address(web: Web) -> None:
     forged = {"Host": "evil.example", "X-Forwarded-Host": "evil.example", "Forwarded": "host=evil.example"}
     forged |= {"X-Forwarded-Prefix": "/evil", "X-Original-URL": "/api/study", "X-HTTP-Method-Override": "DELETE"}
     ann = web.come("ann").json()["person"]
@@ -144,15 +144,6 @@ def test_no_header_bends_a_link_or_names_another_address(web: Web, tiny: Table, 
     own = {"Authorization": f"Bearer {web.access.token(ann)}", **forged}
     assert web.client.get(f"/api/people/{ann}", headers=own).status_code == 200  # read, not deleted
     assert web.client.get("/api/study", headers=own).status_code == 403
-
-    # Where no proxy is trusted, nobody gets a new allowance by another claim of an address.
-    other = tmp_path / "other"
-    other.mkdir()
-    web = Web(tiny, other, allowance=Allowance(burst=5, clock=lambda: 0.0))
-    with web.client:
-        claims = [{"X-Forwarded-For": f"192.0.2.{n}", "X-Real-IP": f"192.0.2.{n}"} for n in range(12)]
-        answers = [web.client.get("/api/me", headers=claim).status_code for claim in claims]
-        assert answers == [401] * 5 + [429] * 7
 
 
 def test_bodies_of_every_size_and_kind_are_refused_before_they_are_kept(web: Web) -> None:
@@ -169,6 +160,8 @@ def test_bodies_of_every_size_and_kind_are_refused_before_they_are_kept(web: Web
         "a length that is a lie": (b"{}", {"Content-Length": "99999999999999"}, 413),
         "a length that is no number": (b"{}", {"Content-Length": "-1"}, 422),
         "a deep list": (b"[" * 30_000, {}, 422),
+        "deep answers": (b'{"stage": "consent", "answers": {"a": ' + b"[" * 500 + b"]" * 500 + b"}}", {}, 422),
+        "no text": (b"\xff\x00", {}, 422),
         "a long number": (b'{"stage": ' + b"1" * 6000 + b"}", {}, 400),
         "not a number": (b'{"stage": NaN}', {}, 422),
         "two stages": (b'{"stage": "thanks", "stage": "task tiny"}', {}, 409),

@@ -171,16 +171,6 @@ def test_a_machine_cannot_hold_all_places_of_a_public_link(tiny: Table, tmp_path
         assert web.come("another").status_code == 200
 
 
-def test_patience_is_that_of_the_study_where_places_are_not_limited(tiny: Table, tmp_path: Path) -> None:
-    for text, minutes in ((PLAN, 10.0), (FEW, 1.0)):
-        web = Web(tiny, tmp_path / str(minutes), text) if (tmp_path / str(minutes)).mkdir() is None else None
-        assert web is not None
-        with web.client:
-            assert web.service.study.patience("consent") == minutes
-            assert web.service.study.patience("questionnaire") == 10.0
-            assert web.service.study.patience("waiting") == 0.5
-
-
 def test_withdrawal_codes_cannot_be_tried_at_will(tiny: Table, tmp_path: Path) -> None:
     web = Web(tiny, tmp_path, PLAN.replace("seed = 3", 'seed = 3\nlanguage = "de"'))
     with web.client:

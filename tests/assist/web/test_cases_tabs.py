@@ -9,17 +9,12 @@ import httpx2 as httpx
 import pytest
 from networks import conducted
 from test_cases_networks import has_done, is_hidden
-from test_live_pages import CHROMIUM, chromium
 from test_userstudy_pages import PATIENCE
 from userstudies import PLAN
 
 from planner import Table
 
-__all__ = ["chromium"]
-pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`"),
-    pytest.mark.long,
-]
+pytestmark = pytest.mark.long
 
 
 def heading(page: Any, words: str) -> None:

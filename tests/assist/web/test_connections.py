@@ -32,6 +32,7 @@ def few_files() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (FILES, FILES))
 
 
+@pytest.mark.slow
 def test_connections_that_bring_nothing_keep_no_participant_out_and_fill_no_log(tmp_path: Path) -> None:
     """More than the process may open files: silent ones, half a head, half a body, and what is no HTTP."""
     file = written(tmp_path / "study.toml", PLAN)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -24,12 +23,7 @@ from assist.drawing import Artist
 from assist.live.store import stored
 from planner import Instance, Table
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra `test`, is not installed")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`"),
-    pytest.mark.long,
-]
+pytestmark = pytest.mark.long
 
 PAPER = KITTING / "paper.pddl"
 TRAVEL = (
@@ -38,14 +32,6 @@ TRAVEL = (
 )  # fmt: skip
 PATIENCE = 60_000  # milliseconds after which an event is taken as missing
 LAST = re.compile(r"^(?:Put|Fetch|Return|Take) ")
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")
@@ -58,19 +44,8 @@ def desk(journal: Path) -> Iterator[Any]:
     from serving import served
 
     # People are assumed to err often, so that the robot makes suggestions; simulated ones do err.
-    people = (
-        "--humans",
-        5,
-        "--simulate",
-        2,
-        "--set",
-        "pace=2.5",
-        "--set",
-        "population.beta=[0.1, 0.6]",
-        "--c-suggest",
-        0.2,
-    )
-    with served(*people, "--c-move", 0.05, "--data", journal.parent, instance=PAPER) as running:
+    words = "--humans 5 --simulate 2 --set pace=2.5 --set population.beta=[0.1,0.6] --c-suggest 0.2 --c-move 0.05"
+    with served(*words.split(), "--data", journal.parent, instance=PAPER) as running:
         yield running
 
 
@@ -456,19 +431,16 @@ def test_somebody_completes_the_task_on_a_phone_by_touch(
     context.close()
 
 
+@pytest.mark.slow
 def test_pages_beside_those_of_the_team_can_be_used_by_everybody(chromium: Any, desk: Any) -> None:
     page = chromium.new_page()
-    for path, status, title in (
-        (desk.links["person-1"].removeprefix(desk.url).replace("#", "/"), 404, "This link is not valid"),
-        ("/operator/wrong", 404, "This link is not valid"),
-        ("/", 404, "This link is not valid"),
-    ):
-        assert page.goto(desk.url + path).status == status
-        assert page.inner_text("h1") == title
+    for path in (desk.links["person-1"].removeprefix(desk.url).replace("#", "/"), "/operator/wrong", "/"):
+        assert page.goto(desk.url + path).status == 404
+        assert page.inner_text("h1") == "This link is not valid"
         assert violations(page) == []
-    page.close()
 
 
+@pytest.mark.slow
 def test_the_interface_is_described_without_a_foreign_server(chromium: Any, desk: Any) -> None:
     """Swagger UI is another project's page; our style sheet and script mend what axe finds."""
     page = chromium.new_page()
@@ -630,22 +602,10 @@ EVERYTHING_SHOWN = """() => {
 def test_two_robots_serve_six_people_and_the_page_shows_both(chromium: Any, tmp_path: Path) -> None:
     from serving import served
 
-    people = (
-        "--humans",
-        6,
-        "--simulate",
-        6,
-        "--set",
-        "pace=0.2",
-        "--set",
-        "population.beta=[0.1, 0.3]",
-        "--c-suggest",
-        0.05,
-        "--c-move",
-        0.01,
-    )
+    words = "--humans 6 --simulate 6 --set pace=0.2 --set population.beta=[0.1,0.3] --c-suggest 0.05 --c-move 0.01"
+    words += " --robots 2 --set travel_time=1"
     script = [sys.executable, ROOT / "docs" / "examples" / "robot.py"]
-    with served(*people, "--robots", 2, "--set", "travel_time=1", "--data", tmp_path) as running, ExitStack() as held:
+    with served(*words.split(), "--data", tmp_path) as running, ExitStack() as held:
         page = chromium.new_page()
         page.set_default_timeout(PATIENCE)
         page.goto(running.operator)

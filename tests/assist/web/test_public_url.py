@@ -18,7 +18,6 @@ from serving import served
 from starlette.testclient import TestClient
 from starlette.types import ASGIApp, Receive, Scope, Send
 from streams import opened
-from test_live_pages import CHROMIUM, chromium
 from userstudies import PLAN, written
 
 from assist.declare.refusals import Refusal
@@ -36,7 +35,6 @@ from assist.web.user_study.routes import router
 from assist.web.user_study.service import StudyService
 from planner import Table
 
-__all__ = ["chromium"]
 PUBLIC = "https://host.example/kits/a%20b"
 ROOT = "/kits/a b"
 STRIPS = pytest.mark.parametrize("strips", [True, False], ids=["stripped", "kept"])
@@ -235,12 +233,6 @@ def test_the_command_prints_public_links_and_listens_where_it_is_told() -> None:
         assert listening
 
 
-in_a_browser = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`"),
-    pytest.mark.long,
-]
-
-
 def page_at(chromium: Any, link: str, faults: list[str]) -> Any:
     page = chromium.new_page()
     page.set_default_timeout(60_000)
@@ -252,7 +244,7 @@ def page_at(chromium: Any, link: str, faults: list[str]) -> Any:
 
 
 @pytest.mark.parametrize(
-    "strips", [pytest.param(strips, marks=[*in_a_browser, pytest.mark.slow]) for strips in (True, False)]
+    "strips", [pytest.param(strips, marks=[pytest.mark.long, pytest.mark.slow]) for strips in (True, False)]
 )
 def test_pages_work_under_a_path(strips: bool, chromium: Any, tiny: Table, tmp_path: Path) -> None:
     def live(base: str) -> tuple[Service, ASGIApp]:

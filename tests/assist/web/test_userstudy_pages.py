@@ -21,7 +21,7 @@ import pytest
 from serving import served
 from starlette.testclient import TestClient
 from streams import watching
-from test_live_pages import CHROMIUM, chromium, violations
+from test_live_pages import violations
 from userstudies import PLAN, SCORES, written
 
 from assist.declare import catalogue, languages
@@ -34,7 +34,6 @@ from assist.web.user_study.routes import router
 from assist.web.user_study.service import StudyService
 from planner import Table
 
-__all__ = ["chromium"]
 LONG = re.compile(r"[\w-]{32}")  # a token in an address
 PATIENCE = 60_000  # milliseconds after which an event is taken as missing
 
@@ -98,13 +97,18 @@ def test_the_operator_sees_who_is_simulated_in_a_rehearsal(web: Web) -> None:
 
 
 def test_a_waiting_room_of_a_hundred_people_is_admitted_at_the_same_second(tiny: Table, tmp_path: Path) -> None:
-    """All have the same link and the same network address."""
-    web = Web(tiny, tmp_path, allowance=Allowance(clock=lambda: 0.0))
+    """All have the same link and the same network address; here are a tenth of them, who may ask a tenth as often.
+
+    Guesses of tokens have a limit of their own.
+    """
+    web = Web(tiny, tmp_path, allowance=Allowance(burst=Allowance().burst / 10, clock=lambda: 0.0))
     with web.client:
+        guess = {"Authorization": "Bearer x"}
+        assert {web.client.get("/api/study", headers=guess).status_code for _ in range(50)} == {401, 429}
         page = web.client.get("/study")
         pieces = [link for link in re.findall(r'(?:src|href)="([^"]+)"', page.text) if not link.startswith("data:")]
         assert len(pieces) >= 3
-        for number in range(100):
+        for number in range(10):
             answers = [web.client.get(f"/{piece}") for piece in ["study", *pieces, "pages/connection.js"]]
             answers += [web.ask("POST", "/api/session", VISITOR), web.ask("GET", "/api/me", VISITOR)]
             answers += [web.ask("GET", "/api/study/form", VISITOR), seat := web.come(f"visit {number}")]
@@ -191,33 +195,8 @@ def test_a_fault_of_the_program_is_one_sentence_and_stops_nobody(web: Web, monke
     assert web.onward(ann["person"], ann["study"]["stage"]).status_code == 200
 
 
-def test_what_is_not_theirs_is_refused_in_one_sentence(web: Web) -> None:
-    ann, bob = (web.come(name).json()["person"] for name in ("ann", "bob"))
-    onward = f"/api/study/participants/{ann}/onward"
-    refused = [
-        (403, "GET", "/api/study", ann, {}),
-        (403, "GET", "/api/study/export", VISITOR, {}),
-        (403, "POST", "/api/study/seats", ann, {"json": {"id": "x"}}),
-        (403, "POST", onward, bob, {"json": {"stage": "consent"}}),
-        (403, "POST", onward, VISITOR, {"json": {"stage": "consent"}}),
-        (409, "POST", onward, ann, {"json": {"stage": "thanks"}}),
-        (422, "POST", onward, ann, {"json": {"stage": 1}}),
-        (
-            422,
-            "POST",
-            f"/api/study/participants/{ann}/onward",
-            ann,
-            {"json": {"stage": "consent", "answers": {"a": 1}}},
-        ),
-        (409, "POST", f"/api/people/{ann}/actions", ann, {"json": {"action": "(fetch box-a)"}}),
-        (404, "POST", f"/api/people/{ann}/undo", ann, {}),
-        (409, "GET", f"/api/people/{ann}/drawing", ann, {}),
-        (404, "POST", "/api/team/people", None, {"json": {"person": "eve"}}),
-        (404, "POST", "/api/team/pause", None, {"json": {"paused": True}}),
-    ]
-    for status, method, path, who, more in refused:
-        answer = web.ask(method, path, who, **more)
-        assert (answer.status_code, set(answer.json())) == (status, {"detail"}), (path, answer.text)
+def test_nothing_of_others_of_conditions_and_of_external_names_is_shown(web: Web) -> None:
+    ann = web.come("ann").json()["person"]
     # Tokens in paths would be in the logs of proxies.
     for path in (
         "/study/x",
@@ -227,10 +206,9 @@ def test_what_is_not_theirs_is_refused_in_one_sentence(web: Web) -> None:
     ):
         page = web.client.get(path, headers={"Accept": "text/html"})
         assert (page.status_code, "This link is not valid" in page.text) == (404, True)
-    assert web.ask("GET", "/api/study").json()["events"] == 2
     seen = web.onward(ann, "consent", id="1").json()
     assert web.onward(ann, "consent", id="1").json() == seen  # a repeated request has one effect
-    assert "condition" not in json.dumps(seen)  # conditions are not disclosed
+    assert "condition" not in json.dumps(seen)
     packed = zipfile.ZipFile(io.BytesIO(web.ask("GET", "/api/study/export").content))
     assert ann in packed.read("participants.csv").decode()
     web.come("participant 5f3a-of-a-recruiting-service")
@@ -307,7 +285,6 @@ def test_who_works_where_no_connection_can_be_kept_is_present(tiny: Table, tmp_p
 
 @pytest.mark.parametrize("language", languages())
 @pytest.mark.long
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 @pytest.mark.slow
 def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
     chromium: Any, tmp_path: Path, tiny: Table, language: str
@@ -459,7 +436,6 @@ EARLIER = """() => {
 
 
 @pytest.mark.long
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 @pytest.mark.slow
 def test_a_refusal_stays_on_the_page_and_each_task_has_a_clock_of_its_own(
     chromium: Any, tmp_path: Path, tiny: Table

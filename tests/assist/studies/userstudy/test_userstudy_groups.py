@@ -12,7 +12,7 @@ import pytest
 from conftest import KITTING
 from scipy import stats
 from serving import served
-from test_live_pages import CHROMIUM, chromium, violations
+from test_live_pages import violations
 from userstudies import PLAN, Open, Part, opened, written
 
 from assist.declare import Catalogue, InapplicableError, catalogue, languages
@@ -26,7 +26,7 @@ from assist.web.user_study.rehearsal import SimulatedParticipant
 from planner import Table
 from planner.system.errors import InputFileError
 
-__all__ = ["chromium", "opened"]
+__all__ = ["opened"]
 GROUPS = (
     PLAN.replace("simulated = 2\n", "")
     .replace("[setting]", "[group]\nsize = 3\nwait = 5\n\n[setting]")
@@ -387,7 +387,6 @@ def begins(page: Any, said: Catalogue) -> None:
     page.click(f'h2:text("{said("study.instructions")}") ~ form >> button')
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 @pytest.mark.slow
 @pytest.mark.parametrize("language", languages())
 def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path: Path, language: str) -> None:
@@ -415,7 +414,6 @@ def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path:
 
 
 @pytest.mark.long
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 @pytest.mark.slow
 def test_three_people_in_three_browsers_share_one_robot(chromium: Any, tmp_path: Path) -> None:
     """In German, as the pages of those who wait are seen in English above."""
