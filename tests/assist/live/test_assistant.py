@@ -24,7 +24,7 @@ from assist.person import person_problem, shared_task
 from assist.person.assumptions import Assumptions
 from assist.person.pomdp import AssistPOMDP, Behaviour
 from assist.person.qmdp import qmdp
-from assist.person.rows_of_people import by_model
+from assist.person.robots import Robot
 from assist.person.settings import Setting
 from assist.team.belief_trace import Watched
 from assist.team.pool import Pool
@@ -41,6 +41,9 @@ def trace_of(pool: Pool, policy: str, team: list[int], **more: Any) -> tuple[lis
     return trace, watched
 
 
+TWO = (Robot(c_suggest=0.3, c_move=0.2), Robot(travel_time=2, c_move=0.1))
+
+
 @pytest.mark.parametrize(
     ("policy", "setting"),
     [
@@ -53,6 +56,10 @@ def trace_of(pool: Pool, policy: str, team: list[int], **more: Any) -> tuple[lis
         ("attention", Setting(c_suggest=0.1, travel_time=2, c_move=0.1)),
         ("priority", Setting(c_suggest=0.1, travel_time=2, c_move=0.1)),
         ("attention", Setting(c_suggest=0.2, knowledge="exact", suggestions="all")),
+        ("reactive", Setting(c_suggest=0.1, robots=2)),
+        ("attention", Setting(c_suggest=0.1, robots=2)),
+        ("priority", Setting(c_suggest=0.1, robots=2, travel_time=2, c_move=0.1)),
+        ("priority", Setting(c_suggest=0.1, robots=TWO)),
     ],
 )
 def test_step_by_step_it_is_what_is_simulated(tiny: Table, policy: str, setting: Setting) -> None:
@@ -62,26 +69,30 @@ def test_step_by_step_it_is_what_is_simulated(tiny: Table, policy: str, setting:
     trace, watched = trace_of(pool, policy, team)
     people = {str(place): pool.policies[pool.model[number]] for place, number in enumerate(team)}
     desk = Assistant(people=people, policy=policy, setting=setting)
-    travel = setting.travel(3)
-    home, there_at, spoken = 3, 0, 0
+    travel, home, arrivals, spoken = setting.travel(3), 3, [0] * len(setting.fleet), 0
     for step in range(trace[-1]["step"] + 1):
-        if desk.robot is not None and step == there_at:
-            desk.arrived(desk.robot)
-        before = desk.robot
-        advice = desk.recommend()
-        if desk.robot != before:
-            assert desk.robot is not None
-            there_at = step + int(
-                travel.steps_between(*np.array([[0], [home if before is None else int(before)], [int(desk.robot)]]))[0]
-            )
+        for number, where in enumerate(desk.robots):
+            if where is not None and step == arrivals[number]:
+                desk.arrived(where, robot=number + 1)
+        before = desk.robots
+        advice = desk.recommend_all()
+        for number, (here, there) in enumerate(zip(before, desk.robots, strict=True)):
+            if here != there:
+                way = np.array([[number], [home if here is None else int(here)], [int(there or 0)]])
+                arrivals[number] = step + int(travel.steps_between(*way)[0])
         for row in (row for row in trace if row["step"] == step):
             name = str(row["place"])
             known = desk.person(name)
             if step in watched.seen:
                 assert (known.belief == watched.seen[step][row["place"]]).all()
             assert known.cost_to_go == row["cost_to_go"]
-            assert known.suggestion == row["suggestion"] == (advice.suggestion if advice.person == name else None)
-            assert row["robot_places"] == [int(desk.robot) if desk.robot and there_at <= step else None]
+            assert known.suggestion == row["suggestion"]
+            assert (
+                row["suggestion"] in [one.suggestion for one in advice if one.person == name] or not row["suggestion"]
+            )
+            assert row["robot_places"] == [
+                int(where) if where and arrivals[number] <= step else None for number, where in enumerate(desk.robots)
+            ]
             spoken += row["suggestion"] is not None
             desk.observe(name, row["action"])
     assert desk.finished
@@ -284,27 +295,6 @@ def test_what_is_kept_of_others_is_what_would_be_worked_out(tiny: Table) -> None
     desk = Assistant(tiny, list("abc"), policy=policy)
     happen(desk, [(what, who, 0) for who in (0, 2, 1, 0) for what in ("act", "advise")])
     assert seen == [True] * 4
-
-
-@pytest.mark.parametrize("policy", ["attention", "attention-never", "priority"])
-def test_a_decision_looks_only_at_whoever_has_acted(tiny: Table, monkeypatch: pytest.MonkeyPatch, policy: str) -> None:
-    """This holds for any number of people."""
-    asked: list[list[int]] = []
-
-    def noted(model: Any, rows: Any, models: int) -> Any:
-        asked.append(rows.tolist())
-        return by_model(model, rows, models)
-
-    monkeypatch.setattr("assist.live.roster.by_model", noted)
-    desk = Assistant(tiny, list("abcde"), policy=policy)
-    desk.recommend()
-    assert [0, 1, 2, 3, 4] in asked
-    for name in "cbc":
-        asked.clear()
-        desk.observe(name, desk.person(name).applicable[0])
-        desk.recommend()
-        assert asked
-        assert all(rows == ["abcde".index(name)] for rows in asked)
 
 
 def test_people_come_and_go(tiny: Table, fixed: Table) -> None:

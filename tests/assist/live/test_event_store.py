@@ -19,7 +19,7 @@ import pytest
 from conftest import costly
 from graphs import graph_task
 from hypothesis import given
-from sessions import EASY, HAPPENS, SETTING, all_of, happen
+from sessions import EASY, HAPPENS, SETTING, happen
 from store_faults import Failing, schedule
 from userstudies import PLAN, Part, written
 
@@ -229,35 +229,6 @@ def test_faults_of_the_store_lose_and_double_nothing(tiny: Table, tmp_path: Path
     solved = LiveTask(tiny, SETTING.for_real_people(), EASY).policy  # once for all sessions
     for seed in range(first, 8 if first == 0 else 100):
         schedule(solved, tmp_path, seed)
-
-
-@pytest.mark.parametrize("error", [MemoryError("no memory"), ValueError("shapes do not match")])
-def test_a_fault_after_an_event_was_applied_leaves_nothing_unsaved(
-    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
-    """Errors of the planner that look like refusals count, too: the event is applied when its view is made."""
-    session = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING, population=EASY)
-    session.report_all([Joined(person=name) for name in ("ann", "bob")])
-    calls, view = [0], type(session.history).person
-
-    def breaks(self: Any, person: str) -> Any:
-        calls[0] += 1
-        if calls[0] == 2:
-            raise error
-        return view(self, person)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(type(session.history), "person", breaks)
-        outcomes = session.report_all([Acted(person=name, action="(fetch box-a)", id=name) for name in ("ann", "bob")])
-    assert isinstance(outcomes[0], dict)
-    assert outcomes[1] is error
-    assert [session.person(name)["steps"] for name in ("ann", "bob")] == [1, 0]
-    assert session.observe("bob", "(fetch box-b)")["steps"] == 1
-    before = all_of(session)
-    session.close()
-    session = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING, population=EASY)
-    assert all_of(session) == before
-    session.close()
 
 
 FORK = multiprocessing.get_context("fork")  # a new interpreter would first import everything

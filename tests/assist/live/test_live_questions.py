@@ -278,6 +278,8 @@ def test_malformed_reports_are_refused_in_one_sentence_and_change_nothing(tmp_pa
     for wrong, kind, message in (
         ({}, Refusal, "expected an action, its likelihoods, or the probability"),
         ({"action": first, "likelihoods": {first: 1.0}}, Refusal, "expected an action, its likelihoods"),
+        ({"action": first, "missed": 0.1}, Refusal, "expected an action, its likelihoods"),
+        ({"action": "(fly away)"}, ValueError, "fly"),
         ({"missed": nan}, Refusal, "missed nan: expected a number"),
         ({"missed": -0.1}, Refusal, "missed -0.1: expected a probability"),
         ({"likelihoods": {}}, Refusal, "likelihoods: expected finite numbers of 0 or more, one of them positive"),

@@ -24,54 +24,12 @@ from assist.live.session import Session
 from assist.people.ranges import Population
 from assist.person.robots import Robot
 from assist.person.settings import Setting
-from assist.team.pool import Pool
-from assist.team.simulate import simulate
-from assist.team.trace import Trace
 from assist.web.app import make_app
 from assist.web.service import Service
 from assist.web.tokens import AccessTokens
 from planner import Table
 
 WRONG = "(place hammer slot-2 box-a)"
-
-
-@pytest.mark.parametrize(
-    ("policy", "more"),
-    [
-        ("reactive", {}), ("attention", {}), ("priority", {}), ("priority", {"travel_time": 2, "c_move": 0.1}),
-        ("priority", {"robots": (Robot(c_suggest=0.3, c_move=0.2), Robot(travel_time=2, c_move=0.1))}),
-    ],
-)  # fmt: skip
-def test_step_by_step_they_do_what_is_simulated(tiny: Table, policy: str, more: dict[str, Any]) -> None:
-    setting = Setting(**{"c_suggest": 0.1, "robots": 2} | more)
-    pool = Pool.sample(tiny, 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.6)))
-    trace, team = Trace(), [2, 0, 3]
-    simulate(pool, policy, humans=team, episodes=1, seed=3, trace=trace)
-    people = {str(place): pool.policies[pool.model[number]] for place, number in enumerate(team)}
-    desk = Assistant(people=people, policy=policy, setting=setting)
-    travel = setting.travel(3)
-    arrivals, spoken = [0, 0], 0
-    for step in range(trace[-1]["step"] + 1):
-        for number, where in enumerate(desk.robots):
-            if where is not None and step == arrivals[number]:
-                desk.arrived(where, robot=number + 1)
-        before = desk.robots
-        advice = desk.recommend_all()
-        for number, (here, there) in enumerate(zip(before, desk.robots, strict=True)):
-            if here != there:
-                way = np.array([[number], [3 if here is None else int(here)], [int(there or 0)]])
-                arrivals[number] = step + int(travel.steps_between(*way)[0])
-        for row in (row for row in trace if row["step"] == step):
-            name = str(row["place"])
-            assert desk.person(name).suggestion == row["suggestion"]
-            assert row["suggestion"] in [None, *(one.suggestion for one in advice if one.person == name)]
-            assert row["robot_places"] == [
-                int(where) if where and arrivals[number] <= step else None for number, where in enumerate(desk.robots)
-            ]
-            spoken += row["suggestion"] is not None
-            desk.observe(name, row["action"])
-    assert desk.finished
-    assert spoken
 
 
 def test_each_of_different_robots_counts_its_own_costs(tiny: Table) -> None:

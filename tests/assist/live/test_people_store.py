@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import kit
-from serving import TINY, served
+from serving import TINY
 
 from assist.cli import main
 from assist.declare import AbsentError
@@ -204,26 +204,3 @@ def test_what_is_carried_says_nothing_about_the_goal_of_the_next_task(tiny: Tabl
     team.join("ann", belief=alone)
     found = team.person("ann")
     np.testing.assert_allclose(found.belief.reshape(2, 6, 10), [0.75 * alone, 0.25 * alone])
-
-
-@pytest.mark.slow
-def test_the_service_carries_what_it_has_learned_to_the_next_day(tmp_path: Path) -> None:
-    options = (
-        "--humans",
-        2,
-        "--simulate",
-        1,
-        "--set",
-        f"people_store={tmp_path / 'people.sqlite'}",
-        "--set",
-        "tick=3600",
-    )
-    beliefs = []
-    for _ in range(2):
-        with served(*options) as service:
-            beliefs.append(service.ask("GET", "/api/team").json()["people"][0]["belief"])
-            service.ask("POST", "/api/people/person-1/actions", json={"action": "(fetch box-b)"})
-            beliefs.append(service.ask("GET", "/api/team").json()["people"][0]["belief"])
-            service.end()
-    assert beliefs[0] != beliefs[1] == beliefs[2]
-    assert PeopleStore(tmp_path / "people.sqlite").names() == ["person-1"]

@@ -17,7 +17,7 @@ from assist.learning.log import Log
 from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
-from assist.person import QMDP, ObservationModel, Setting, joint_belief, person_problem, qmdp
+from assist.person import QMDP, ObservationModel, Setting, person_problem, qmdp
 from assist.person.assumptions import Assumptions
 from assist.person.shared_task import SharedTask
 from assist.person.truncated_policy import TruncatedPolicy
@@ -53,17 +53,6 @@ def test_a_certain_likelihood_is_an_action() -> None:
         assert (one.state, one.applicable, one.steps) == (other.state, other.applicable, other.steps)
         np.testing.assert_allclose(other.belief, one.belief, rtol=0, atol=1e-12)
     assert [row["action"] for row in plain.log()] == [row["action"] for row in given.log()]
-
-
-def test_what_an_update_needs_is_compiled_before_anybody_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls, advance = list[int](), joint_belief._advance
-    monkeypatch.setattr(joint_belief, "_advance", lambda *given: calls.append(1) or advance(*given))
-    team = desk()
-    assert calls == [1]
-    team.join("bob")
-    assert calls == [1]
-    desk(SURE)
-    assert calls == [1]  # without an observation model, actions are seen as they are
 
 
 def test_actions_that_were_missed_before_one_that_was_seen_are_enumerated() -> None:
@@ -208,26 +197,13 @@ def test_people_who_have_probably_finished_get_no_advice() -> None:
     assert team.recommend().person is None
 
 
-def test_what_is_no_observation_is_refused_and_changes_nothing() -> None:
-    team = desk()
-    before = team.to_json()
-    for wrong, message in (
-        ({}, "expected an action, its likelihoods, or the probability"),
-        ({"action": FETCH, "missed": 0.1}, "expected an action, its likelihoods, or the probability"),
-        ({"missed": 2.0}, "missed 2: expected a probability"),
-        ({"likelihoods": {FETCH: -1.0}}, "likelihoods: expected finite numbers"),
-        ({"likelihoods": {}}, "likelihoods: expected finite numbers"),
-        ({"action": "(fly away)"}, "fly"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            team.observe("ann", **wrong)  # type: ignore[arg-type]
+def test_what_is_in_no_probable_state_or_needs_an_observation_model_is_refused() -> None:
     certain = desk(SURE)
     certain.observe("ann", likelihoods={FETCH: 1.0})
     with pytest.raises(InapplicableError, match="in no probable state of ann; in the most probable one there are: "):
         certain.observe("ann", FETCH)
     with pytest.raises(ValueError, match="an uncertain action: expected a setting with an observation model"):
         desk(Setting()).observe("ann", missed=0.1)
-    assert team.to_json() == before
 
 
 def test_what_an_answer_is_worth_does_not_depend_on_the_size_of_the_task(
