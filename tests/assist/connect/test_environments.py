@@ -50,7 +50,7 @@ def total(env: TeamEnv, policy: str) -> list[float]:
     return returns
 
 
-@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("policy", thinned(POLICIES))
 def test_an_episode_is_the_simulators(pool: Pool, policy: str) -> None:
     found = simulate(pool, policy, humans=2, episodes=EPISODES, seed=5)
     assert total(TeamEnv(pool, 2), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
@@ -101,7 +101,7 @@ def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> 
 
 
 @pytest.mark.parametrize(
-    "options", thinned([{"knowledge": "exact", "suggestions": "all"}, {}, {"goals": True}, {"robots": 2}])
+    "options", thinned([{"goals": True}, {"knowledge": "exact", "suggestions": "all"}, {}, {"robots": 2}], every=4)
 )
 def test_on_rows_that_grow_all_is_seen_as_on_the_whole_task(
     tiny: Table, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
@@ -330,7 +330,9 @@ def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None
         env.unwrapped.step(0)
 
 
-@pytest.mark.parametrize("robots", [1, 2, 3])
+@pytest.mark.parametrize(
+    "robots", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)]
+)
 def test_pettingzoo_finds_nothing_wrong_with_moving_robots(
     tiny_choices: Choices, robots: int, capsys: pytest.CaptureFixture[str]
 ) -> None:

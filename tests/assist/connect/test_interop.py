@@ -479,18 +479,18 @@ def test_without_pomdp_py_the_extra_is_named(tiny_choices: Choices, monkeypatch:
 
 def test_export_command(tmp_path: Path) -> None:
     out = tmp_path / "tiny.pomdpx"
-    options = (
+    options = [
         "--set",
         "gamma=0.9",
         "--set",
-        "population.beta=[1, 2]",
+        "population.beta=[1,2]",
         "--set",
         "sigma=0.5",
         "--seed",
-        4,
+        "4",
         "--set",
         "execute=true",
-    )
+    ]
     result = invoke("export", KITTING / "tiny.pddl", "--out", out, "--json", *options)
     assert result.exit_code == 0
     assert json.loads(result.stdout) == {

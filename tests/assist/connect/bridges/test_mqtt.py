@@ -571,46 +571,34 @@ def test_a_broker_with_tls_and_a_password(tmp_path: Path, monkeypatch: pytest.Mo
         secured.stop()
 
 
-def test_reports_that_wait_for_a_missing_number_are_said(tmp_path: Path) -> None:
+@pytest.mark.parametrize("wait", ["60.0", "0.01"])
+def test_a_missing_number_is_waited_for_and_passed_over(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, wait: str
+) -> None:
     """Three of fifty numbers may be on their way; the operator's page says who waits for which."""
-    (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", "1"))
+    (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", "1").replace("60.0", wait))
 
     async def waits() -> list[list[str]]:
         transport = Mqtt(MqttSettings.read(file))
         bridge = Bridge(transport, "http://127.0.0.1:1/operator#t")
         found = []
-        for number in (4, 6, 1, 2, 3):
+        for number in (4, 6, 1, 2, 3) if wait == "60.0" else (2,):
             payload = json.dumps({"action": "(fetch box-a)", "id": str(number), "n": number}).encode()
             bridge.take(transport.message("line/ann/action", payload, lambda: None))
             found.append(bridge.waits)
+        while wait == "0.01" and bridge.waits:
+            await asyncio.sleep(0.01)
         await bridge._tasks.cancel()
         return found
 
-    said = asyncio.run(waits())
-    assert said[0] == ["MQTT: ann: 1 reports wait for the number 1, which has not arrived"]
-    assert said[1] == ["MQTT: ann: 2 reports wait for the number 1, which has not arrived"]
-    assert said[3:] == [
-        ["MQTT: ann: 2 reports wait for the number 3, which has not arrived"],
-        ["MQTT: ann: 1 reports wait for the number 5, which has not arrived"],
-    ]
-
-
-def test_a_number_that_never_arrives_is_said_with_where_reports_are_expected(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", "1").replace("wait = 60.0", "wait = 0.01"))
-
-    async def passes_over() -> None:
-        transport = Mqtt(MqttSettings.read(file))
-        bridge = Bridge(transport, "http://127.0.0.1:1/operator#t")
-        bridge.take(transport.message("line/ann/action", b'{"action": "(go)", "id": "2", "n": 2}', lambda: None))
-        while bridge.waits:
-            await asyncio.sleep(0.01)
-        await bridge._tasks.cancel()
-
-    asyncio.run(asyncio.wait_for(passes_over(), 60))
-    said = "MQTT: ann: no report with number 1 arrived where `observe` listens; later ones go ahead"
-    assert said in caplog.text
+    said = asyncio.run(asyncio.wait_for(waits(), 60))
+    passed = "MQTT: ann: no report with number 1 arrived where `observe` listens; later ones go ahead"
+    if wait == "0.01":
+        assert passed in caplog.text
+        return
+    words = "MQTT: ann: {} reports wait for the number {}, which has not arrived"
+    assert [said[k] for k in (0, 1, 3, 4)] == [[words.format(*n)] for n in ((1, 1), (2, 1), (2, 3), (1, 5))]
+    assert passed not in caplog.text
 
 
 def test_numbers_go_on_after_the_service_has_started_again(broker: Broker, tmp_path: Path) -> None:

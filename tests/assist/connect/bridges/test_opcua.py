@@ -165,24 +165,26 @@ def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tm
     assert here.session.history.beliefs() == there.session.history.beliefs()
 
 
-def test_a_server_may_ask_for_a_password(
-    servers: subprocess.Popen[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_server_may_ask_for_a_password_and_a_node_that_it_does_not_have_is_named(
+    servers: subprocess.Popen[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    """A server that is asked for a node has let the bridge in; the service works without the node."""
     plant, here = Plant(servers, "plc", "secret"), Here(tmp_path / "opcua", ["person-1"])
-    text = SETTINGS.replace('PORT/"', f"{plant.port}/\"\nusername = 'plc'")
+    text = SETTINGS.replace('PORT/"', f"{plant.port}/\"\nusername = 'plc'").replace("A.Pick", "A.Picks")
     (file := tmp_path / "bridge.toml").write_text(text)
     with pytest.raises(click.UsageError, match=r"server\.username: has no password; expected it in KITASSIST_OPCUA"):
         bridge_of(file)
     monkeypatch.setenv("KITASSIST_OPCUA_PASSWORD", "secret")
 
     async def work() -> None:
-        while not here.bridge.connected:
+        while "node ns=2;s=A.Picks: " not in caplog.text:
             await asyncio.sleep(0.05)
 
     try:
         here.run(file, work)
     finally:
         plant.kill()
+    assert "Traceback" not in caplog.text
 
 
 OWN = """
@@ -190,6 +192,7 @@ OWN = """
 url = "opc.tcp://127.0.0.1:PORT/"
 action = "{action}"
 id = "{id}"
+username = "plc"
 """
 
 
@@ -239,8 +242,11 @@ async def connected(port: int, **options: Any) -> Any:
         await asyncio.sleep(0.05)
 
 
-def test_systems_that_poll_have_a_server(tmp_path: Path) -> None:
+def test_systems_that_poll_have_a_server_with_a_password_once_its_address_is_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """They report by values and calls; the beliefs equal those of the same events over HTTP, bit for bit."""
+    monkeypatch.setenv("KITASSIST_OPCUA_PASSWORD", "secret")
     (walk,) = plans(kit("tiny"), 1, 6, seed=1).values()
     here, there = (
         Here(tmp_path / name, ["ann", "bob"], Setting(c_suggest=0.01, c_move=0.01)) for name in ("opcua", "http")
@@ -250,7 +256,14 @@ def test_systems_that_poll_have_a_server(tmp_path: Path) -> None:
     suggested = list[str]()
 
     async def work() -> None:
-        client = await connected(port)
+        with socket.create_server(("127.0.0.1", port)):
+            while f"no connection to opc.tcp://127.0.0.1:{port}" not in caplog.text:
+                await asyncio.sleep(0.05)
+            assert not here.bridge.connected
+        client = await connected(port, user="plc", password="secret")
+        for options in ({}, {"user": "plc", "password": "secrets"}):
+            with pytest.raises(ua.UaError):
+                await connected(port, **options)
         poll = Poller(client)
         try:
             for number, action in enumerate(walk):
@@ -295,6 +308,7 @@ def test_systems_that_poll_have_a_server(tmp_path: Path) -> None:
             await client.disconnect()
 
     here.run(file, work)
+    assert "Traceback" not in caplog.text
     assert any(suggested)
     with TestClient(there.app, headers=there.headers) as client:
         for action in walk:
@@ -310,53 +324,3 @@ def test_systems_that_poll_have_a_server(tmp_path: Path) -> None:
     assert here.session.history.beliefs() == there.session.history.beliefs()
     counted = {"values": 9, "calls": 3, "messages": 11, "recorded": 10, "refused": 1}
     assert counted.items() <= here.bridge.counts.items()
-
-
-def test_a_server_with_a_password_at_an_address_that_is_taken_for_some_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setenv("KITASSIST_OPCUA_PASSWORD", "secret")
-    here, port = Here(tmp_path / "opcua", ["ann"]), free_port()
-    text = (
-        OWN.replace("PORT", str(port))
-        .replace("{action}", "(fetch {box})")
-        .replace('"{id}"', "'{id}'\nusername = 'plc'")
-    )
-    (file := tmp_path / "bridge.toml").write_text(text)
-
-    async def work() -> None:
-        with socket.create_server(("127.0.0.1", port)):
-            while f"no connection to opc.tcp://127.0.0.1:{port}" not in caplog.text:
-                await asyncio.sleep(0.05)
-            assert not here.bridge.connected
-        for options in ({}, {"user": "plc", "password": "secrets"}):
-            while True:
-                try:
-                    await connected(port, **options)
-                except ua.UaError:
-                    break
-                raise AssertionError(options)
-        client = await connected(port, user="plc", password="secret")
-        await Poller(client).until("People/ann/Begin", lambda _: True)  # which is made after the others
-        await Poller(client).node("People/ann/Action").write_value('{"box": "box-a", "id": "1"}')
-        assert (await Poller(client).answer("ann", "1"))["status"] == "recorded"
-        await client.disconnect()
-
-    here.run(file, work)
-    assert "Traceback" not in caplog.text
-
-
-def test_a_node_that_the_server_does_not_have_is_named(
-    plant: Plant, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """The service works without it."""
-    here = Here(tmp_path / "opcua", ["person-1"])
-    text = SETTINGS.replace("A.Pick", "A.Picks").replace("PORT", str(plant.port))
-    (file := tmp_path / "bridge.toml").write_text(text)
-
-    async def work() -> None:
-        while "node ns=2;s=A.Picks: " not in caplog.text:
-            await asyncio.sleep(0.05)
-
-    here.run(file, work)
-    assert "Traceback" not in caplog.text
