@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,11 @@ from conftest import KITTING
 
 from assist.live.event_base import TeamEvent
 from assist.live.events import kinds
+from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.events import StudyEvent
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import StudySession
+from assist.studies.userstudy.tables import COLUMNS
 from planner import Table
 
 Open = Callable[..., StudySession]
@@ -70,6 +72,16 @@ SCORES: dict[str, dict[str, Any]] = {
 def written(file: Path, text: str = PLAN) -> Path:
     file.write_text(text, encoding="utf-8")
     return file
+
+
+def exported(folder: Path, text: str = PLAN, tables: Mapping[str, Any] | None = None, **rows: Any) -> Path:
+    """Write an unpacked export of a study with the given rows of its tables, in which fields may be missing."""
+    folder.mkdir(exist_ok=True)
+    written(folder / "study.toml", text)
+    for name, columns in COLUMNS.items():
+        plain = [dict.fromkeys(columns) | row for row in ({**(tables or {}), **rows}).get(name, [])]
+        (folder / f"{name}.csv").write_text(written_rows(columns, plain))
+    return folder
 
 
 @pytest.fixture

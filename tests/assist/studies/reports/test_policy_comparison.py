@@ -18,7 +18,6 @@ from assist.certify import certify
 from assist.person import Setting
 from assist.studies.reports import PolicyComparison, comparison_of
 from assist.team import TeamAction, TeamState
-from assist.team.priority import SolvedSubproblem
 from planner import cost_to_go
 
 POLICIES = ["none", "reactive", "attention"]
@@ -26,16 +25,16 @@ POLICIES = ["none", "reactive", "attention"]
 
 @pytest.fixture(scope="module")
 def pool() -> Pool:
-    return Pool.sample(cost_to_go("kitting/tiny"), 6, seed=0, setting=Setting(c_suggest=0.5))
+    return Pool.sample(cost_to_go("kitting/tiny"), 3, seed=0, setting=Setting(c_suggest=0.5))
 
 
 @pytest.fixture(scope="module")
 def found(pool: Pool) -> PolicyComparison:
-    return compare(pool, POLICIES, humans=[2, 3], episodes=40, seed=1)
+    return compare(pool, POLICIES, humans=[2, 3], episodes=20, seed=1)
 
 
 def test_means_and_differences_are_those_of_simulate(pool: Pool, found: PolicyComparison) -> None:
-    runs = {name: simulate(pool, name, humans=3, episodes=40, seed=1) for name in POLICIES}
+    runs = {name: simulate(pool, name, humans=3, episodes=20, seed=1) for name in POLICIES}
     rows = {row.policy: row for row in found if row.humans == 3}
     for name, run in runs.items():
         assert rows[name].means["discounted_return"].value == run.discounted_return.mean()
@@ -51,7 +50,7 @@ def test_means_and_differences_are_those_of_simulate(pool: Pool, found: PolicyCo
 
 
 def test_portions_within_a_time_limit_are_the_same_episodes(pool: Pool, found: PolicyComparison) -> None:
-    limited = compare(pool, POLICIES, humans=[2, 3], episodes=40, seed=1, time_limit=1e-9)
+    limited = compare(pool, POLICIES, humans=[2, 3], episodes=20, seed=1, time_limit=1e-9)
     assert limited == found  # the first portion has more episodes than were asked for
     fewer = compare(pool, ["none"], humans=2, episodes=100, seed=1, time_limit=1e-9)
     assert fewer[0].summary.episodes == 64
@@ -69,7 +68,7 @@ def test_the_frame_is_tidy(found: PolicyComparison) -> None:
 
 
 def test_pools_are_conditions_and_have_a_column(pool: Pool) -> None:
-    cheap = Pool.sample(cost_to_go("kitting/tiny"), 6, seed=0, setting=Setting(c_suggest=0.05))
+    cheap = Pool.sample(cost_to_go("kitting/tiny"), 3, seed=0, setting=Setting(c_suggest=0.05))
     found = compare({0.05: cheap, 0.5: pool}, POLICIES, humans=2, episodes=30, varied="c_suggest")
     assert compare(pool, POLICIES, humans=2, episodes=30, c_suggest=[0.05, 0.5]) == found  # in one call
     frame = found.to_frame()
@@ -88,13 +87,14 @@ def test_it_says_where_no_suggestion_was_worth_its_cost(pool: Pool) -> None:
 
 def test_a_setting_is_changed_for_the_same_people(pool: Pool) -> None:
     found = compare(pool, ["none", "attention"], humans=2, episodes=20, c_move=3.0)
-    other = Pool.sample(cost_to_go("kitting/tiny"), 6, seed=0, setting=Setting(c_suggest=0.5, c_move=3.0))
+    other = Pool.sample(cost_to_go("kitting/tiny"), 3, seed=0, setting=Setting(c_suggest=0.5, c_move=3.0))
     assert found == compare(other, ["none", "attention"], humans=2, episodes=20)
     assert pool.under(other.setting) == other != pool
     with pytest.raises(ValueError, match="which know the task"):
         Pool.joined([pool, pool]).under(other.setting)
 
 
+@pytest.mark.slow
 def test_one_condition_after_another_takes_memory(pool: Pool) -> None:
     made: list[weakref.ref[Pool]] = []
 
@@ -110,19 +110,6 @@ def test_one_condition_after_another_takes_memory(pool: Pool) -> None:
     )
     assert len(found) == 12
     assert len(made) == 2  # the pool itself has the cost of the other condition
-
-
-def test_what_is_known_of_people_serves_teams_of_any_size(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
-    solved, of = list[object](), SolvedSubproblem.of
-
-    def counted(*known: Any) -> SolvedSubproblem:
-        solved.append(known)
-        return of(*known)
-
-    monkeypatch.setattr(SolvedSubproblem, "of", counted)
-    found = compare(pool, ["priority"], humans=[1, 2, 3], episodes=40, seed=1)
-    assert len(solved) <= len(pool.people)
-    assert found[2].summary == simulate(pool, "priority", humans=3, episodes=40, seed=1).summary()
 
 
 def test_under_one_condition_the_figure_has_the_differences(pool: Pool) -> None:

@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from conftest import invoke
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import special, stats
-from userstudies import PLAN, SCORES, written
+from userstudies import PLAN, SCORES, exported, written
 
-from assist.cli import main
 from assist.cli.user_study import _report
 from assist.learning.intervals import holm
 from assist.studies.repeated_measures import means_within, mixed_model, within_participants
@@ -38,7 +37,6 @@ from assist.studies.statistics import (
     sign_test,
     signed_rank,
 )
-from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.forecast import Forecast
 from assist.studies.userstudy.outcomes import OUTCOMES
 from assist.studies.userstudy.plan_file import read
@@ -442,16 +440,8 @@ def test_differences_have_their_statistic_and_the_interval_of_the_effect(tmp_pat
     assert [completed[name] for name in ("t", "df", "hedges_g_low", "detectable")] == [None] * 4
 
 
-def exported(folder: Path, tables: Tables, text: str = CONFIRMED) -> Path:
-    folder.mkdir(exist_ok=True)
-    written(folder / "study.toml", text)
-    for name, columns in COLUMNS.items():
-        (folder / f"{name}.csv").write_text(written_rows(columns, getattr(tables, name)))
-    return folder
-
-
 def report_of(folder: Path, tables: Tables, text: str = CONFIRMED) -> str:
-    write_report(exported(folder / "data", tables, text), folder / "report")
+    write_report(exported(folder / "data", text, vars(tables)), folder / "report")
     return (folder / "report" / "report.md").read_text()
 
 
@@ -462,7 +452,7 @@ def test_the_report_says_at_its_top_that_a_policy_suggested_nothing(
     tables = rows_of([(name, name, 1, 8, 5) for name in ("none", "attention") * 5])
     said = "**attention made suggestions in 0 % of the tasks**: hardly any was worth its cost (c_suggest 0.02, "
     assert said in report_of(tmp_path, tables).partition("## Participants")[0]
-    assert said.replace("**", "") in run("study-report", tmp_path / "data").stdout
+    assert said.replace("**", "") in invoke("study-report", tmp_path / "data").stdout
     monkeypatch.setattr("assist.studies.userstudy.export.archive", lambda _: b"")
     _report(tmp_path / "data")  # as a rehearsal does at its end
     assert said.replace("**", "") in capsys.readouterr().err
@@ -513,16 +503,16 @@ items = [{ name = "age", text = "How old are you?", min = 18, max = 99 }]
 @pytest.mark.usefixtures("no_figures")
 def test_conditions_are_compared_with_another_one_than_the_reference(tmp_path: Path) -> None:
     tables = rows_of([(name, name, 1, 8 + number, 5) for number in range(4) for name in ("none", "attention")])
-    folder = exported(tmp_path / "data", tables)
+    folder = exported(tmp_path / "data", CONFIRMED, vars(tables))
     usual, other = (
-        json.loads(run("study-report", folder, *more, "--json").stdout) for more in ((), ("--baseline", "attention"))
+        json.loads(invoke("study-report", folder, *more, "--json").stdout) for more in ((), ("--baseline", "attention"))
     )
     assert (usual["reference"], other["reference"]) == ("none", "attention")
     (before,), (after,) = (one["measures"][0]["differences"] for one in (usual, other))
     assert (after["condition"], after["against"], after["mean"]) == ("none", "attention", -before["mean"])
     assert any(one["confirmatory"] for one in usual["measures"])
     assert not any(one["confirmatory"] for one in other["measures"])  # the plan names no such comparison
-    refused = run("study-report", folder, "--baseline", "atention")
+    refused = invoke("study-report", folder, "--baseline", "atention")
     assert (refused.exit_code, "baseline: 'atention'; did you mean 'attention'?" in refused.stderr) == (1, True)
 
 
@@ -563,7 +553,7 @@ def test_the_report_separates_confirmatory_from_exploratory(tmp_path: Path, text
             one = (name, 1) if text == CONFIRMED else (orders[number % 2], period)
             rows.append((one[0], name, one[1], None if number == 3 else int(rng.integers(6, 12)), 5))
     within = {"who": lambda n: f"P{n // 2}"} if text == WITHIN else {}
-    folder = exported(tmp_path / "data", rows_of(rows, **within), text)
+    folder = exported(tmp_path / "data", text, vars(rows_of(rows, **within)))
     summary = write_report(folder, tmp_path / "report")
     report = (tmp_path / "report" / "report.md").read_text()
     page = (tmp_path / "report" / "report.html").read_text()
@@ -581,26 +571,22 @@ def test_the_report_separates_confirmatory_from_exploratory(tmp_path: Path, text
     assert json.loads((tmp_path / "report" / "summary.json").read_text()) == summary
 
 
-def run(*words: object) -> Any:
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
 @pytest.mark.usefixtures("no_figures")
 def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Forecast, "of", lambda study, _: Forecast(study, {}, {}))  # it takes seconds
     file, data = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data"
-    said = run("study-prepare", file, "--data", data)
+    said = invoke("study-prepare", file, "--data", data)
     assert json.loads(said.stdout) | {"text": CONFIRMED} == json.loads((data / REGISTERED).read_text())
     assert f"serve --study {file} --data {data}` begins the study" in said.stderr
-    again = run("study-prepare", file, "--data", data)
+    again = invoke("study-prepare", file, "--data", data)
     assert (again.exit_code, again.stderr.count("\n")) == (2, 1)
     assert f"already registered at {json.loads(said.stdout)['registered']}; to register another plan" in again.stderr
     rows = rows_of([(name, name, 1, 7, 5) for name in ("none", "attention") * 3])
     for row in rows.participants:
         row["arrived"] = "2999-01-01T00:00:00+00:00"
-    exported(data, rows)
+    exported(data, CONFIRMED, vars(rows))
 
     def first_lines() -> str:
         write_report(data, tmp_path / "report")
@@ -621,18 +607,18 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
     for part in ("registered after the first participant had arrived", "has changed (studies/statistics.py)"):
         assert part in first_lines()
     (data / REGISTERED).write_text("{}")
-    refused = run("study-report", data)
+    refused = invoke("study-report", data)
     assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)
     assert "not a preregistration" in refused.stderr
     (data / REGISTERED).unlink()
     (data / "journal.sqlite").touch()
-    assert "the study has begun" in run("study-prepare", file, "--data", data).stderr
+    assert "the study has begun" in invoke("study-prepare", file, "--data", data).stderr
 
 
 def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
     file = written(tmp_path / "study.toml", CONFIRMED.replace("seed = 3", "seed = 3\nparticipants = 13"))
-    said = run("study-prepare", file, "--check")
+    said = invoke("study-prepare", file, "--check")
     printed = json.loads(said.stdout)
     (shown,) = printed.pop("sensitivity")
     assert printed == {"study": str(file), "places": 13, "comparisons": 2}
@@ -643,16 +629,16 @@ def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: p
     assert last == f"{file} can be carried out; nothing is registered yet"
     assert [one.name for one in tmp_path.iterdir()] == ["study.toml"]
     dear = written(file, CONFIRMED.replace("c_suggest = 0.02", "c_suggest = 50.0"))
-    said = run("study-prepare", dear, "--data", tmp_path / "data")
+    said = invoke("study-prepare", dear, "--data", tmp_path / "data")
     assert "attention suggests something to 0 % of simulated people: hardly any suggestion is worth" in said.stderr
     assert (tmp_path / "data" / REGISTERED).exists()
     monkeypatch.setattr("assist.web.user_study.server.serve", lambda *_, **__: None)
     begins = ("serve", "--study", dear, "--data", tmp_path / "data", "--port", 0)
-    assert "attention suggests something to 0 % of simulated people" in run(*begins).stderr
+    assert "attention suggests something to 0 % of simulated people" in invoke(*begins).stderr
     (tmp_path / "data" / JOURNAL).touch()
-    assert "suggests" not in run(*begins).stderr  # when it goes on
+    assert "suggests" not in invoke(*begins).stderr  # when it goes on
     for options, wrong in (((), "expected --data DIR"), (("--check", "--links", file), "cannot be combined")):
-        refused = run("study-prepare", file, *options)
+        refused = invoke("study-prepare", file, *options)
         assert (refused.exit_code, wrong in refused.stderr) == (2, True)
 
 
@@ -660,22 +646,22 @@ def test_links_of_participants_are_signed_by_a_command(tmp_path: Path) -> None:
     file, ids = written(tmp_path / "study.toml"), tmp_path / "ids.txt"
     ids.write_text("7\n\na&b\n=1\n")
     options = ("study-prepare", file, "--data", tmp_path / "data", "--links", ids)
-    assert "expected --public-url URL as well" in run(*options).stderr
-    said = run(*options, "--public-url", "https://host.example/kits/").stdout
+    assert "expected --public-url URL as well" in invoke(*options).stderr
+    said = invoke(*options, "--public-url", "https://host.example/kits/").stdout
     links = {row["participant"]: row["link"] for row in csv.DictReader(io.StringIO(said))}
     assert list(links) == ["7", "a&b", "=1"]
     assert links["a&b"].startswith("https://host.example/kits/study?participant=a%26b&signature=")
-    assert run(*options, "--public-url", "https://host.example/kits/").stdout == said
+    assert invoke(*options, "--public-url", "https://host.example/kits/").stdout == said
     for content, wrong in (("7\n8\n7\n", "ids.txt:3: the ID of line 1"), ("\n", "expected an ID on each line"),
                            ("x" * 101, "ids.txt:1: expected an ID of at most 100 characters")):  # fmt: skip
         ids.write_text(content)
-        refused = run(*options, "--public-url", "https://host.example")
+        refused = invoke(*options, "--public-url", "https://host.example")
         assert (refused.exit_code, wrong in refused.stderr) == (2, True)
 
 
 def test_an_export_of_an_earlier_version_is_read(tmp_path: Path) -> None:
     rows = rows_of([("none", "none", 1, 7, 5)])
-    folder = exported(tmp_path / "data", rows)
+    folder = exported(tmp_path / "data", CONFIRMED, vars(rows))
     (folder / "answers.csv").write_text(
         "participant,condition,period,questionnaire,item,answer,score\nP0,none,1,trust,rely,5,5\n"
     )

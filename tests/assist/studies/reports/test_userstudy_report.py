@@ -18,14 +18,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from conftest import KITTING
+from conftest import KITTING, invoke
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from userstudies import PLAN, written
+from userstudies import PLAN, exported, written
 
-from assist.cli import main
 from assist.declare import catalogue
 from assist.studies.repeated_measures import detectable_within, within_participants
 from assist.studies.reports import study_report, userstudy_report
@@ -39,7 +37,7 @@ from planner.system.errors import InputFileError, MissingExtraError
 
 
 def run(*words: object) -> Any:
-    result = CliRunner().invoke(main, [str(word) for word in words])
+    result = invoke(*words)
     assert result.exit_code == 0, result.output
     return result
 
@@ -67,7 +65,7 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
     assert set(links := json.loads(said.stdout)) == {"url", "operator", "join"}
     assert links["join"]["everybody"].startswith(f"{links['url']}/study#")
     assert links["url"] == "https://host.example/kits"
-    late = CliRunner().invoke(main, ["serve", "--study", str(file), "--data", str(data)])
+    late = invoke("serve", "--study", file, "--data", data)
     assert (late.exit_code, "has a rehearsal; expected another folder for the study itself" in late.stderr) == (2, True)
     with zipfile.ZipFile(data / "user-study.zip") as packed:
         packed.extractall(unpacked)
@@ -134,16 +132,6 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
     assert {one["person"]: one["actions"] for one in fitted} == {
         one["participant"]: int(one["actions"]) for one in tasks
     }
-
-
-def exported(folder: Path, **rows: list[dict[str, object]]) -> Path:
-    """Write an unpacked export with the given rows."""
-    folder.mkdir()
-    written(folder / "study.toml")
-    for name, columns in COLUMNS.items():
-        plain = written_rows(columns, [dict.fromkeys(columns) | row for row in rows.get(name, [])])
-        (folder / f"{name}.csv").write_text(plain)
-    return folder
 
 
 def test_a_study_in_which_hardly_anybody_took_part_says_so(tmp_path: Path) -> None:
@@ -278,14 +266,14 @@ def test_a_packed_export_has_its_report_beside_it(tmp_path: Path) -> None:
     run("study-report", folder, "--out", tmp_path / "again")
     first, second = (tmp_path / name / "summary.json" for name in ("user-study-report", "again"))
     assert first.read_text() == second.read_text()
-    refused = CliRunner().invoke(main, ["study-report", str(folder / "study.toml")])
+    refused = invoke("study-report", folder / "study.toml")
     assert (refused.exit_code, refused.stderr) == (
         1, f"{folder / 'study.toml'}: no ZIP file; expected the folder of a study, or an export of one\n",
     )  # fmt: skip
 
 
 def test_a_folder_without_a_study_is_refused_in_one_line(tmp_path: Path) -> None:
-    refused = CliRunner().invoke(main, ["study-report", str(tmp_path)])
+    refused = invoke("study-report", tmp_path)
     assert refused.exit_code == 1
     assert refused.stderr == (
         f"{tmp_path}: no study.toml; expected the folder of a study that has begun, or an unpacked export\n"
@@ -357,9 +345,9 @@ def test_what_the_command_refuses(tmp_path: Path) -> None:
         ),
         (["serve", "--study", written(tmp_path / "bad.toml", "tasks = 1")], "bad.toml:1: tasks: 1; expected a list"),
     ]:
-        result = CliRunner().invoke(main, [str(word) for word in words])
+        result = invoke(*words)
         assert (result.exit_code, message in result.stderr) == (2, True), result.stderr
-    result = CliRunner().invoke(main, ["study-report", str(tmp_path)])
+    result = invoke("study-report", tmp_path)
     assert result.exit_code == 1
     assert result.stderr.count("\n") == 1
 

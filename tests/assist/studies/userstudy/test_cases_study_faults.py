@@ -39,16 +39,23 @@ def opened(table: Table, folder: Path, text: str = PLAN) -> StudySession:
     return StudySession(study, {"tiny": table, "practice": table}, folder / "data")
 
 
-@pytest.fixture
-def begun(tiny: Table, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def completed(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a study in which two participants have come to the end."""
-    session = opened(tiny, tmp_path)
+    folder = tmp_path_factory.mktemp("completed")
+    session = opened(tiny, folder)
     for name in ("eve", "ann"):
         part = Part(session, name)
         part.come()
         answers(part)
     session.close()
-    return tmp_path
+    return folder
+
+
+@pytest.fixture
+def begun(completed: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    return Path(shutil.copytree(completed, tmp_path, dirs_exist_ok=True))
 
 
 def damaged(change: Callable[[Path], Any]) -> Callable[[Path, Table], Any]:
@@ -173,6 +180,7 @@ def test_a_full_disk_is_said_to_participants_and_researchers(
             problems = web.ask("GET", "/api/study").json()["problems"]
             assert problems == ["events cannot be saved: No space left on device at the last attempt"]
             assert web.client.get("/api/health", params={"ready": True}).status_code == 503
+            assert web.ask("GET", "/api/study/export").status_code == 200  # which is made in memory
         store._db.execute(f"PRAGMA max_page_count={1 << 30}")
         assert web.come("bob").status_code == 200
         assert web.ask("GET", "/api/study").json()["problems"] == []

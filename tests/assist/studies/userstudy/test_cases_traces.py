@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -14,6 +15,8 @@ from test_event_store import content
 from test_userstudy_report import run
 from userstudies import PLAN, SCORES, written
 
+from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy.session import StudySession
 from planner import Table
 
 WORDS = "Quittenmus am Dienstag"
@@ -30,21 +33,12 @@ def assert_no_trace(*texts: str, folder: Path, said: str = "") -> None:
     assert [one for text in texts for one in bytes_of(text) if one in everything] == []
 
 
-@pytest.mark.parametrize(
-    "ends", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL], ids=["stopped", "killed"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("ends", [signal.SIGTERM, signal.SIGKILL], ids=["stopped", "killed"])
 def test_who_is_erased_is_in_no_byte_of_a_team(tmp_path: Path, ends: signal.Signals) -> None:
     """The journal, its log, the store of people, and what the service says on stderr, also of what it refused."""
-    options = (
-        "--humans",
-        1,
-        "--data",
-        tmp_path / "data",
-        "--set",
-        f"people_store={tmp_path / 'people.sqlite'}",
-        "--set",
-        "tick=3600",
-    )
+    people = f"people_store={tmp_path / 'people.sqlite'}"
+    options = (*["--humans", "1", "--set", "tick=3600", "--set"], people, "--data", tmp_path / "data")
     with served(*options, "--log-format", "json") as team:
         added = team.ask("POST", "/api/team/people", json={"person": NAME})
         assert added.status_code == 200, added.text
@@ -116,9 +110,8 @@ def test_who_withdraws_is_in_no_byte_of_a_study(tiny: Table, tmp_path: Path) -> 
     assert_no_trace(*gone, folder=data, said=said)
     assert not any(person in said for person in leave.values())
     assert b"die Worte der anderen" in content(data)
-    with served("--study", file, "--data", data, instance=None) as study:
-        assert study.ask("GET", f"/api/people/{stays}").json()["study"]["kind"] == "thanks"
-        for how, person in leave.items():
-            again = study.ask("GET", f"/api/people/{person}")
-            assert again.status_code == 404 if how == "erase" else again.json()["study"]["kind"] == "withdrew"
+    with closing(StudySession(read(file), {"tiny": tiny, "practice": tiny}, data)) as again:
+        assert again.person(stays)["study"]["kind"] == "thanks"
+        assert [again.person(leave[how])["study"]["kind"] for how in ("withdraw", "code")] == ["withdrew"] * 2
+        assert leave["erase"] not in again.people
     assert_no_trace(*gone, folder=data)
