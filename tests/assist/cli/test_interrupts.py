@@ -180,6 +180,7 @@ def test_what_is_no_signal_passes_through() -> None:
         assert threads.submit(in_a_thread).result() is before
 
 
+@pytest.mark.slow
 def test_a_rehearsal_ends_at_a_signal_in_the_midst_of_its_requests(tmp_path: Path) -> None:
     file, data = written(tmp_path / "study.toml"), tmp_path / "data"
     words = ["serve", "--study", str(file), "--rehearse", "40", "--data", str(data), "--port", "0"]

@@ -119,19 +119,8 @@ def test_distances_are_those_of_people_in_their_order(begun: Begun, tmp_path: Pa
         to = {near: 0.1, far: 9}
         first, second = to["person-1"], to["person-2"]
         file.write_text(json.dumps([[0, 9, first], [9, 0, second], [first, second, 0]]))
-        session = begun(
-            TINY,
-            "--humans",
-            2,
-            "--c-suggest",
-            0.02,
-            "--c-move",
-            0.5,
-            "--set",
-            f"distances={file}",
-            "--set",
-            "trust=paper",
-        )
+        words = ["--humans", "2", "--c-suggest", "0.02", "--c-move", "0.5", "--set", "trust=paper", "--set"]
+        session = begun(TINY, *words, f"distances={file}")
         for action in ("(fetch box-a)", WRONG):
             for name in session.people:
                 session.observe(name, action)
@@ -228,6 +217,7 @@ def test_options_that_need_another_one_are_accepted_with_it(begun: Begun, tmp_pa
     assert (setting.eta, setting.utility_scale, setting.pace, setting.seed, setting.keep_people) == (0.3, 2, 1, 5, 7)
 
 
+@pytest.mark.slow
 def test_people_choose_as_a_function_says_in_a_large_task(begun: Begun, own: Path, tmp_path: Path) -> None:
     options = (DOMAINS / "lockers" / "two-trays.pddl", "--humans", 1, "--simulate", 1, "--data", tmp_path / "data")
     chooses = ("--set", f"population.chooses={own}:moves")

@@ -17,6 +17,7 @@ from planner import Table
 KITS = ROOT / "docs" / "examples" / "kits"
 
 
+@pytest.mark.slow
 def test_the_goals_of_people_are_inferred() -> None:
     given = ("--goals", KITS, "--set", "goal_prior=travel=.5,mend=.3,mount=.2", "--humans", 2, "--set", "c_ask=0.01")
     noise = ("--set", "observation.miss=0.02", "--set", "observation.confusion=0.05", "--c-move", 0)

@@ -185,9 +185,6 @@ person-1 = "tiny"
     reports = [(line["event"], line["outcome"]) for line in lines if line["message"] == "report"]
     assert ("rearranged", "recorded") in reports
     assert "person-1" not in said
-    file.write_text(config)
-    with served(*options, instance=None) as service:  # with the distances that are in force
-        assert service.ask("GET", "/api/people/person-1").json()["task"] == "own"
 
 
 @pytest.mark.parametrize("level", [logging.INFO, logging.WARNING])

@@ -184,17 +184,8 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
     assert out.exit_code == 0, out.output
     assert json.loads(out.stdout)["population"]["parts"][0]["beta"] == [2.0, 2.5]
     experts = invoke("policy", TINY, "--population", file, "--gap", 0.01, "--json")
-    ranges = invoke(
-        "policy",
-        TINY,
-        "--set",
-        "population.beta=[2.0, 2.5]",
-        "--set",
-        "population.theta=[0.8, 0.9]",
-        "--gap",
-        0.01,
-        "--json",
-    )
+    words = "--set population.beta=[2.0,2.5] --set population.theta=[0.8,0.9] --gap 0.01 --json"
+    ranges = invoke("policy", TINY, *words.split())
     assert experts.exit_code == 0, experts.output
     assert json.loads(experts.stdout)["value_never"] == json.loads(ranges.stdout)["value_never"]
     for command in ("simulate", "bound", "policy"):
