@@ -53,18 +53,26 @@ class Certificate(Result):
     episodes: int
 
     def __repr__(self) -> str:
-        gap = (
-            "at the bound, within the error"
-            if self.within_error
-            else f"at most {self.gap_percent:.2f} % below the best"
-        )
         value = f"{self.value:.3f} ± {self.value_stderr:.3f}"
-        return f"<{self.policy}: value {value} over {self.episodes:,} episodes, {gap} (upper bound {self.upper:.3f})>"
+        gap = f"gap at most {self.gap} (upper bound {self.upper:.3f})"
+        return f"<{self.policy}: value {value} over {self.episodes:,} episodes, {gap}>"
 
     @property
     def within_error(self) -> bool:
         """Whether the mean is above the bound, but not by more than three of its standard errors."""
         return 0 < self.value - self.upper <= 3 * self.value_stderr + 1e-9 * abs(self.value)
+
+    @property
+    def above(self) -> bool:
+        """Whether the mean is above the bound by more than its error, so that more episodes are needed."""
+        return self.value > self.upper and not self.within_error
+
+    @property
+    def gap(self) -> str:
+        """The largest distance to the best policy in percent of the value, as tables show it."""
+        if self.above:
+            return "the mean is above the bound"
+        return "0 %, within the error" if self.within_error else f"{self.gap_percent:.2f} %"
 
     @classmethod
     def of(cls, name: str, returns: Floats, *, humans: int, upper: float, slack: float) -> Certificate:
@@ -117,6 +125,7 @@ class Simulated:
         self.team, self._travel, self._seed = team, travel, seed
         extra = pool.setting.fleet.extra
         most = float(travel.c_move.max()) * float(travel.distance.max()) + float(extra[np.isfinite(extra)].max())
+        most += pool.setting.c_ask or 0.0
         dearest = max(max(1.0, p.problem.dearest) + float(p.pomdp.robot_costs.max()) for p in pool.policies) + most
         self._rest = dearest * gamma**self._end / (1 - gamma)
         self.parts: list[Floats] = []

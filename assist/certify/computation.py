@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from threading import Event
@@ -25,6 +25,7 @@ from ..people.decision import Floats
 from ..person.attention_subproblem import AttentionSubproblem
 from ..person.memory_needed import MEMORY_LIMIT_MB, depth_within
 from ..person.policy import Policy
+from ..person.rounding import rounding
 from ..person.search import SolverOptions
 from ..person.solver import solve
 from ..person.travel import Travel
@@ -73,7 +74,9 @@ class Relaxation:
     @property
     def upper(self) -> float:
         """The upper bound on the value of every team policy."""
-        return self.paid + self._all(lambda solution: solution.upper)
+        return _summed(
+            self.paid, [(kind.count, one.upper) for kind, (_, one) in zip(self.kinds, self.parts, strict=True)]
+        )
 
     @property
     def upper_seen(self) -> float:
@@ -89,6 +92,12 @@ class Relaxation:
     def done(self) -> bool:
         """Whether each subproblem was solved to the requested gap."""
         return all(solution.stopped == "gap" for _, solution in self.parts)
+
+
+def _summed(paid: float, bounds: Sequence[tuple[float, float]]) -> float:
+    """Return what robots pay plus the bounds of kinds of people, moved up by what rounding may take."""
+    terms = [paid, *(count * upper for count, upper in bounds)]
+    return sum(terms) + rounding(len(terms)) * sum(map(abs, terms))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,10 +238,10 @@ class Computation:
         except KeyboardInterrupt as error:
             if not parts:
                 raise
-            upper = paid(price, self.pool.setting) + sum(
-                kind.count * (parts[number][1].upper if number in parts else kind.with_free_attention())
+            upper = _summed(paid(price, self.pool.setting), [
+                (kind.count, parts[number][1].upper if number in parts else kind.with_free_attention())
                 for number, kind in enumerate(kinds)
-            )
+            ])  # fmt: skip
             unknown = {place for number, kind in enumerate(kinds) if number not in parts for place in kind.places}
             raise InterruptedBound(upper, len(self.team) - len(unknown), len(self.team), error) from error
         return Relaxation(kinds, [parts[number] for number in range(len(kinds))], price)

@@ -4,7 +4,8 @@ With neighbours who see each other, theta of a person also moves when another on
 `team_bound` then holds if these moves, too, are chosen as well as possible in the subproblem of each person:
 
 Assumptions. Those of `team_bound`, except that theta of a person depends on other people's suggestions: each one that
-they see is an event, whose rule says how far theta can come at least, l_1(theta), and at most, u_1(theta).
+they see is an event, whose rule says how far theta can come at least, l_1(theta), and at most, u_1(theta). Both rise
+with theta, which is checked on the grid.
 
 Claim. Let [l_m(theta), u_m(theta)] be the values that theta may have after at most m events of a step. Let V_k(lambda)
 be the optimal value, with observed type and theta, of person k's subproblem in which theta, after each step of theirs,
@@ -17,7 +18,7 @@ Hence what happens to k under a team policy is a policy of this subproblem that 
 other people's states, types and actions, which given k's history act like additional random numbers. A policy that
 observes the type and theta is not worse. So the mean of its return is at most V_k(lambda).
 
-The maps l_1 and u_1 rise with theta, so that l_m and u_m are their iterates. The values are those on the grid, with
+As l_1 and u_1 rise with theta, l_m and u_m are their iterates. The values are those on the grid, with
 theta between grid points divided between them, as people of the model move: linear between grid points, and largest at
 an end of the interval or at a grid point within.
 
@@ -43,6 +44,7 @@ from ..person.each_goal import Outer
 from ..person.mdp_values import initial_upper_bounds, value_iteration
 from ..person.problem_rows import ProblemRows
 from ..person.qmdp import QMDP, look_ahead
+from ..person.rounding import rounding
 from ..person.solver import Solution
 from ..team.pool import Pool
 
@@ -112,8 +114,11 @@ class Envelope(OwnTheta):
         return self.solved(free).value_mdp
 
     def bound(self, best: QMDP, search: Callable[[QMDP], Solution]) -> Solution | Lifted:  # noqa: ARG002
-        """Return these values at the beginning as the bound."""
-        value = float((best.value_mdp[best.pomdp.model.choices.initial] * best.pomdp.prior).sum())
+        """Return these values at the beginning as the bound, moved up by what rounding may take."""
+        pomdp = best.pomdp
+        value = float((best.value_mdp[pomdp.model.choices.initial] * pomdp.prior).sum())
+        terms = pomdp.model.choices.applicable.shape[1] * len(pomdp.grid.theta)
+        value += rounding(terms) / (1 - pomdp.gamma) * float(abs(best.value_mdp).max())
         return Lifted(value, value, value)
 
     def solved(self, visits: AttentionSubproblem, tail: Floats | None = None) -> QMDP:

@@ -181,9 +181,12 @@ def kinds_of(
     _require_room_for_all([one[0] for one in given], [one[4] for one in given], window, memory_limit_mb)
     kinds = []
     for one, chance, places, entry, entry_steps, envelope in given:
-        free = AttentionSubproblem.of(one.problem, entry, entry_steps)
+        # Of several robots with ways that take time, one may leave while another is on its way, so that nobody waits.
+        relayed = entry_steps > 0 and len(pool.setting.robots) > 1
+        alone = one.problem.unattended() if relayed else one.problem
+        free = AttentionSubproblem.of(alone, entry, entry_steps)
         tail, priced = envelope.tail(free), one.outer is None
-        visits = AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window)) if priced else free
+        visits = AttentionSubproblem.of(alone, entry, entry_steps, np.zeros(window)) if priced else free
         _require_room_for(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
         kinds.append(SubproblemKind(pool, visits, tail, places, one, chance, envelope))
     return kinds

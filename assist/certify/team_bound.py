@@ -12,16 +12,19 @@ Claim. For all prices lambda_t >= 0, the optimal value J* of the team is at most
     M sum_t gamma^t lambda_t  +  sum_k V_k(lambda),
 
 where V_k is the optimal value of person k's subproblem: attention has the price lambda_t in step t, coming costs as
-much as from the nearest other place, and leaving is free.
+much as from the nearest other place, and leaving is free. Waiting with the person costs what it costs the robot, but
+nothing if there are several robots and their ways take time.
 
 Proof. Consider any policy of the team. Let a_k(t) be 1 in a step in which any robot attends to person k, and 0
 otherwise. As sum_k a_k(t) <= M, the return increases or stays the same if sum_t gamma^t lambda_t (M - sum_k a_k(t)) is
 added to it. The result is M sum_t gamma^t lambda_t plus, for each person, a return in which attention has its price.
 The robots' behaviour towards person k is a policy of their subproblem, at costs that are not higher there: the robot in
 it comes when the first of them sets out, and leaves with the last. Where coming takes no time, it comes with its first
-action: to be there before would cost as much or more, as costs and prices are 0 or more, and would change nothing. This
-policy also depends on the other people's states, which are independent of person k and act like additional random
-numbers. So the mean of the return is at most V_k.
+action: to be there before would cost as much or more, as costs and prices are 0 or more, and would change nothing.
+Where coming takes time, it may be with the person in a step in which the robots of the team are all on their way there,
+since another one left. It then waits for free, and the person chooses as if nobody were there. This policy also depends
+on the other people's states, which are independent of person k and act like additional random numbers. So the mean of
+the return is at most V_k.
 
 The prices are optimised (`assist.certify.prices`). Each V_k is bounded from above with hidden beta and theta
 (`assist.person.solver`), so that the bound does not assume more knowledge of people than a robot has.

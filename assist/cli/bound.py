@@ -99,7 +99,7 @@ def bound(
         f"would lower the gap by at most {best.slack_percent:.2f} percentage points"
     )
     for c in certificates:
-        if c.gap_percent < 0 and not c.within_error:
+        if c.above:
             click.echo(
                 f"{c.policy}: the mean is more than three standard errors above the bound, which no policy's value "
                 "exceeds; more --value-episodes"
@@ -110,8 +110,7 @@ def bound(
 
 def _cells(found: Certificate) -> list[str]:
     """Return the row of a policy."""
-    gap_at_most = "0 %, within the error" if found.within_error else f"{found.gap_percent:.2f} %"
-    return [found.policy, f"{found.value:.3f} ± {found.value_stderr:.3f}", f"{found.upper:.3f}", gap_at_most]
+    return [found.policy, f"{found.value:.3f} ± {found.value_stderr:.3f}", f"{found.upper:.3f}", found.gap]
 
 
 def _show_first(certificates: list[Certificate]) -> None:
@@ -119,7 +118,7 @@ def _show_first(certificates: list[Certificate]) -> None:
     for c in certificates:
         click.echo(
             f"a first answer, {c.policy}: value {c.value:.3f} ± {c.value_stderr:.3f}, upper bound {c.upper:.3f} with "
-            f"free attention and what is hidden known: gap at most {c.gap_percent:.2f} %; a tighter bound follows",
+            f"free attention and what is hidden known: gap at most {c.gap}; a tighter bound follows",
             err=True,
         )  # fmt: skip
 

@@ -49,7 +49,7 @@ class ThetaReach:
     def of(cls, rule: SeenRule, grid: Grid, events: Sequence[tuple[Range, float]], most: int) -> Self:
         """Return how far theta comes by at most `most` events of some kinds.
 
-        The least and the largest theta after an event rise with theta, so that those after several are their iterates.
+        The least and the largest theta after an event have to rise with theta: those after several are their iterates.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class ThetaReach:
         Raises
         ------
         ValueError
-            The rule has no envelope.
+            The rule has no envelope, or one that falls somewhere as theta rises.
         """
         within = getattr(rule, "envelope", None)
         if within is None:
@@ -70,6 +70,12 @@ class ThetaReach:
                 f"neighbours: {type(rule).__name__} does not say how far theta can come; a bound expects a rule with "
                 "a method envelope(theta, gain, weight)"
             )
+        for one in events:
+            if any((np.diff(end) < -1e-12).any() for end in within(grid.theta, *one)):
+                raise ValueError(
+                    f"neighbours: the envelope of {type(rule).__name__} falls somewhere as theta rises; a bound "
+                    "expects a least and a largest theta after an event that rise with theta"
+                )
         low, high = [grid.theta], [grid.theta]
         for _ in range(most):
             low.append(np.min([within(low[-1], *one)[0] for one in events], axis=0))

@@ -10,13 +10,14 @@ set of choices that may be suggested, and o_a = sum_{b != a} p_b u_b / (1 - p_a)
 is
 
     (C U)(x, beta) = max( (1 - l) sum_b p_b u_b + l m,
-                          max_{a in S} (1 - l) max(u_a, o_a) + l m - c_suggest ).
+                          max_{a in S} (1 - l) max(u_a, o_a) + l m - c ).
 
 Assumptions.
 
 1. People choose by equation 5, with a perceived cost-to-go for each state.
 2. A suggestion acts by equation 6 with some theta in [0, 1]; theta may change in any way.
-3. Costs of suggestions, of travel and of attention are at least 0. The robot executes no action of the task.
+3. A suggestion costs at least c >= 0, as `Robot.costs` says. Costs of waiting, of travel and of attention are at least
+   0. The robot executes no action of the task.
 
 Claim. Let W(x, beta, theta) be the optimal value with observed beta and theta. If U >= W, then C U >= W. So all values
 that result from sweeps of C over any states, starting from an upper bound, are upper bounds.
@@ -24,9 +25,9 @@ that result from sweeps of C over any states, starting from an upper bound, are 
 Proof. Let the robot suggest a, and consider choices without a lapse. By equation 6, a has the weight theta p_a, and
 every other b has the weight (1 - theta) p_b. So the other choices keep their proportions among each other. The expected
 return is therefore a mixture of u_a and o_a, hence at most max(u_a, o_a). If equation 6 leaves the probabilities
-unchanged, it is the mixture with the weights p_a and 1 - p_a. Lapses contribute l m. The robot pays at least c_suggest.
-Without a suggestion, the first term is exact. The returns u are increasing in U, so that C is monotone, and the maximum
-over all robot actions is at least the Bellman backup of W, which is W itself.
+unchanged, it is the mixture with the weights p_a and 1 - p_a. Lapses contribute l m. The robot pays at least c.
+Without a suggestion, the return is the first term, or less by a cost of waiting. The returns u are increasing in U, so
+that C is monotone, and the maximum over all robot actions is at least the Bellman backup of W, which is W itself.
 
 The sweeps start at `frontier_bounds.never_erring`, an upper bound for every person. States outside the swept ones keep
 this value.
@@ -54,6 +55,7 @@ from .assumptions import Assumptions
 from .frontier_bounds import never_erring
 from .likely_states import perceived_of_states
 from .problem_arrays import read_only
+from .robots import SUGGESTION
 from .rounding import rounding
 
 Ints = NDArray[np.int64]
@@ -143,7 +145,7 @@ def compliance_bounds(
     whole = np.array(known.task.costs, dtype=np.float64), known.whole(every)
     arrays = (order, rows.offsets, rows.actions, number, costs, perceived, *whole)
     graph = _Graph(*(read_only(array) for array in arrays))
-    rates = _Rates(gamma, assumed.robot.c_suggest, assumed.lapse, optimal)
+    rates = _Rates(gamma, assumed.robot.costs[SUGGESTION], assumed.lapse, optimal)
 
     def one(beta: float) -> Floats:
         value, stamp = start.copy(), np.zeros(len(start), dtype=np.uint16)
@@ -186,7 +188,7 @@ class _Rates(NamedTuple):
     """The parameters of `compliance_bounds` that a sweep needs."""
 
     gamma: float
-    c_suggest: float
+    suggestion: float
     lapse: float
     optimal: bool
 
@@ -198,7 +200,7 @@ def _sweep(value: Floats, stamp: NDArray[np.uint16], sweep: int, graph: _Graph, 
     A state is skipped if no successor has changed by more than `slight` since its last backup; its bound remains valid.
     """
     order, offsets, actions, targets, prices, perceived, whole, h = graph
-    gamma, c_suggest, lapse, optimal = rates
+    gamma, suggestion, lapse, optimal = rates
     slight = 1e-3  # cost units; a smaller change causes no backup of predecessors, to save time
     most = 0
     for x in order:
@@ -235,7 +237,7 @@ def _sweep(value: Floats, stamp: NDArray[np.uint16], sweep: int, graph: _Graph, 
             others = alone - p[a] * u[a]
             if p[a] < 0.9 and abs(others) > 0.1 * abs(alone):
                 influenced = max(u[a], others / (1.0 - p[a]))
-            best = max(best, (1.0 - lapse) * influenced + lapse * mean - c_suggest)
+            best = max(best, (1.0 - lapse) * influenced + lapse * mean - suggestion)
         change = value[x] - best
         if change > 0.0:
             value[x] = best

@@ -104,9 +104,21 @@ class Fleet:
         """What each robot's actions cost more than those of the best one, in cost units, by their class, shape (M, 3).
 
         It is infinite for the execution of an action by a robot that executes none, if others do.
+
+        Raises
+        ------
+        ValueError
+            An action of a robot costs less than one of the best robot.
         """
         more = np.array(self.each("costs") - self.best.costs)
         more[~self.each("execute"), EXECUTION] = np.inf if self.executes else 0.0
+        if (more < 0).any():
+            robot, action = np.argwhere(more < 0)[0].tolist()
+            what = ("waiting", "a suggestion", "an execution")[action]
+            raise ValueError(
+                f"robots: {what} costs robot {robot + 1} less than the best robot that has the marked fields of all; "
+                f"expected marks and {type(self.robots[0]).__name__}.costs by which the best robot pays least"
+            )
         return frozen(more)
 
     @cached_property

@@ -15,6 +15,7 @@ from scipy import sparse
 from planner.system.arrays import outline, read_only
 
 from ...people.arguments import number, positive
+from ...person.rounding import rounding
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -143,6 +144,10 @@ class Agents:
         A = self.shape[1]
         reward, use, may = (x.transpose(1, 0, 2).reshape(A, -1) for x in (self.R, self.uses, self.allowed))
         return np.ascontiguousarray(reward), np.ascontiguousarray(use), np.ascontiguousarray(may)
+
+    def room(self, resources: float) -> float:
+        """Return the units that a sum of uses may have in a step: `resources`, and what rounding may add to the sum."""
+        return resources + rounding(len(self)) * (resources + float(self.uses.max()))
 
     def look_ahead(self, values: Floats) -> Floats:
         """Return R + gamma P V for values of shape (K * S,); shape (A, K * S), minus infinity where not allowed."""

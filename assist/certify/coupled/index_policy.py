@@ -51,7 +51,7 @@ class IndexPolicy:
         units = np.unique(use[1:])
         if len(gain) == 2 and len(units) == 1 and units[0] > 0 and not use[0].any():
             return _most(gain[1][place], action, int(self.resources / units[0] + 1e-9))
-        return _greedy(gain[:, place], use[:, place], action, self.resources)
+        return _greedy(gain[:, place], use[:, place], action, self.agents.room(self.resources))
 
 
 def _most(gain: Floats, action: Ints, count: int) -> Ints:
@@ -76,7 +76,7 @@ def _greedy(gain: Floats, use: Floats, action: Ints, resources: float) -> Ints:
     with np.errstate(divide="ignore", invalid="ignore"):
         score = np.where((gain > 0) & (use > 0), gain / use, -np.inf).transpose(1, 2, 0).reshape(runs, -1)
     order = np.argsort(-score, axis=1, kind="stable")
-    left, free, found = np.full(runs, resources + 1e-9), np.ones((runs, N), dtype=bool), action.copy()
+    left, free, found = np.full(runs, resources), np.ones((runs, N), dtype=bool), action.copy()
     rows = np.arange(runs)
     for pair in order.T:
         k, a = pair // A, pair % A

@@ -79,7 +79,7 @@ def joint_optimum(
     ValueError
         An argument is invalid.
     """
-    limit = units(resources)
+    limit = agents.room(units(resources))
     N, (_, A, S) = len(agents), agents.shape
     if whole("largest", largest, 1) < S**N:
         raise LimitError(f"{N} agents of {S} states have {S**N:,} joint states; expected at most {largest:,} (largest)")
@@ -92,7 +92,7 @@ def joint_optimum(
     while True:
         best, chosen = np.full(values.shape, -np.inf), np.zeros(values.shape, dtype=np.int64)
         for number, reward, used, ahead in _joint(P, R, use, may, values, limit):
-            found = np.where(used <= limit + 1e-9, reward + gamma * ahead, -np.inf)
+            found = np.where(used <= limit, reward + gamma * ahead, -np.inf)
             better = found > best
             best[better], chosen[better] = found[better], number
         change = float(abs(best - values).max())
@@ -126,7 +126,7 @@ def _joint(
             return
         for a in range(A):
             with_a = used + along(k, use[k, a])
-            if with_a.min() > limit + 1e-9:
+            if with_a.min() > limit:
                 continue
             gain = reward + along(k, np.where(may[k, a], R[k, a], -np.inf))
             then = np.moveaxis(np.tensordot(P[k, a], ahead, axes=(1, k)), 0, k)

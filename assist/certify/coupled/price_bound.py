@@ -42,6 +42,7 @@ from planner.system.arrays import outline, read_only
 from planner.system.limits import Deadline
 
 from ...people.arguments import positive, whole
+from ...person.rounding import rounding
 from .agents import Agents, Floats, units
 
 
@@ -239,9 +240,14 @@ def expected_uses(agents: Agents, chosen: Floats) -> Floats:
 def _bound_at(agents: Agents, limit: float, prices: Floats, tail: Floats) -> PriceBound:
     """Return the bound at given prices."""
     values, chosen = backwards(agents, agents.flat[2], prices, tail)
-    upper = float(agents.weight @ values[0] + limit * (agents.gamma ** np.arange(len(prices)) @ prices))
-    used = expected_uses(agents, chosen)
+    reward, use, _ = agents.flat
     K, _, S = agents.shape
+    paid = limit * float(agents.gamma ** np.arange(len(prices)) @ prices)
+    # Each backup and each sum is rounded; what an agent gets or pays in a step is at most `largest`.
+    largest = float(abs(reward).max() + abs(values).max() + use.max() * prices.max(initial=0.0))
+    margin = rounding(S) * len(agents) * largest / (1 - agents.gamma) + rounding(len(prices)) * paid
+    upper = float(agents.weight @ values[0]) + paid + margin
+    used = expected_uses(agents, chosen)
     return PriceBound(upper, prices, values.reshape(-1, K, S), float(limit), used)
 
 

@@ -99,7 +99,7 @@ class RolloutPolicy:
         keys = [zlib.crc32(row.tobytes(), options.seed) + (step << 32) for row in joint]
         P = agents.P
         arrays = PolicyArrays(
-            self.base.gain, self.base.rest, agents.flat[1], float(self.base.resources), self.advantage,
+            self.base.gain, self.base.rest, agents.flat[1], agents.room(self.base.resources), self.advantage,
             P.indptr.astype(np.int64), P.indices.astype(np.int64), P.data, agents.gamma,
         )  # fmt: skip
         effort = options.samples, options.horizon, options.alternatives, float(options.errors)
@@ -153,7 +153,7 @@ def serve(gain: Floats, use: Floats, rest: Ints, place: Ints, left: float, taken
             if open_[k]:
                 for a in range(A):
                     units = use[a, place[k]]
-                    if units > 0 and units <= left + 1e-9 and gain[a, place[k]] > best * units:
+                    if units > 0 and units <= left and gain[a, place[k]] > best * units:
                         best, who, what = gain[a, place[k]] / units, k, a
         if who < 0:
             return
@@ -183,7 +183,7 @@ def propose(
     for k in range(N):
         for a in range(A):
             units = use[a, place[k]]
-            if 0 < units <= resources + 1e-9 and gain[a, place[k]] > 0:
+            if 0 < units <= resources and gain[a, place[k]] > 0:
                 score[k * A + a] = -gain[a, place[k]] / units
     for pair in np.argsort(score, kind="mergesort"):
         if count > most or score[pair] == np.inf:

@@ -92,7 +92,7 @@ def sampled_bound(
         start = (begin <= rng.random((len(agents), 1))).sum(axis=1)
         to = _successors(rng.random((W, len(agents))), row, chance, successor)
         if exact:
-            least = _least(start, to, loss, use, solved.prices, limit, agents.gamma)
+            least = _least(start, to, loss, use, solved.prices, limit, agents.room(limit), agents.gamma)
         else:
             least = _least_at_prices(start, to, loss, use, solved.prices, limit, agents.gamma)
         found.append(solved.upper - least)
@@ -116,7 +116,9 @@ def _successors(uniform: Floats, row: Ints, chance: Floats, successor: Ints) -> 
 
 
 @njit()
-def _least(start: Ints, to: Ints, loss: Floats, use: Floats, price: Floats, limit: float, gamma: float) -> float:
+def _least(
+    start: Ints, to: Ints, loss: Floats, use: Floats, price: Floats, limit: float, room: float, gamma: float
+) -> float:  # fmt: skip
     """Return the least discounted sum of D on a sample path, by all joint actions in all joint states."""
     W, A, N, S = to.shape
     ahead, here = np.zeros(S**N), np.empty(S**N)
@@ -135,7 +137,7 @@ def _least(start: Ints, to: Ints, loss: Floats, use: Floats, price: Floats, limi
                     rest //= A
                     used += use[a, k, state[k]]
                     total += loss[t, a, k, state[k]]
-                    if used > limit + 1e-9:
+                    if used > room:
                         total = np.inf
                     if total == np.inf:
                         break

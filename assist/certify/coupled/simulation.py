@@ -195,6 +195,7 @@ def _block(
     states = np.stack([np.searchsorted(c, first[:, k], side="right") for k, c in enumerate(begin)], axis=1)
     if control is not None:
         varied += control.at(0)[states + offset].sum(axis=1) - agents.weight @ control.at(0)
+    most = agents.room(resources)
     step = 0
     while step < last and not finished[place := states + offset].all():
         action = np.asarray(act(step, states))
@@ -202,7 +203,7 @@ def _block(
             raise ValueError(f"policy: {action.dtype} array of shape {action.shape}; expected actions, {states.shape}")
         if (action < 0).any() or (action >= len(reward)).any() or not may[action, place].all():
             raise ValueError(f"policy: an action at step {step} is not allowed")
-        if (use[action, place].sum(axis=1) > resources + 1e-6).any():
+        if (use[action, place].sum(axis=1) > most).any():
             raise ValueError(f"policy: the actions at step {step} use more than {resources:g} units")
         row = action * n + place
         total += discount * reward[action, place].sum(axis=1)

@@ -166,11 +166,11 @@ class PolicyComparison(Result):
         lines = [
             [
                 *self._condition(row), *(_mean(*getattr(row.summary, name)) for name in shown),
-                f"{row.summary.cut_off}", *([_gap(row.certificate)] if with_gap else []),
+                f"{row.summary.cut_off}", *([row.certificate.gap if row.certificate else ""] if with_gap else []),
             ]
             for row in self.rows
         ]  # fmt: skip
-        return [*head, *(["gap to the optimum"] if with_gap else [])], lines
+        return [*head, *(["gap at most"] if with_gap else [])], lines
 
     def differences(self) -> Cells:
         """Return the head and the lines of the table of differences to the baseline, with their intervals."""
@@ -297,10 +297,3 @@ def shown_interval(estimate: IntervalEstimate) -> str:
     if math.isnan(estimate.low):
         return f"{estimate.value:.2f}"
     return f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})"
-
-
-def _gap(certificate: Certificate | None) -> str:
-    """Return the distance to the best policy, as tables show it."""
-    if certificate is None:
-        return ""
-    return f"at most {certificate.gap_percent:.1f} %" if certificate.gap_percent >= 0 else "0 %, within the error"

@@ -143,6 +143,8 @@ def test_a_mean_above_the_bound_by_chance_is_within_its_error() -> None:
     for upper, within in ((-11.0, False), (-12.0, False), (-12.5, True), (-15.4, True), (-15.5, False)):
         found = Certificate.of("mine", returns_, upper=upper, **options)
         assert (found.within_error, found.gap_percent < 0) == (within, upper < -12), upper
+    assert found.above
+    assert "the mean is above the bound" in repr(found)
 
 
 def test_a_certificate_by_hand() -> None:

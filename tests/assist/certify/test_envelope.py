@@ -155,7 +155,16 @@ class Boundless:
         return np.clip(theta + event.weight * event.gain, 0, 1)
 
 
+class Jumps(Boundless):
+    """A rule after which those who trust little trust most."""
+
+    def envelope(self, theta: np.ndarray, gain: tuple[float, float], weight: float) -> tuple[np.ndarray, np.ndarray]:  # noqa: ARG002
+        return theta, np.where(theta < 0.5, 1.0, theta)
+
+
 def test_refusals(tiny: Table) -> None:
+    with pytest.raises(ValueError, match="the envelope of Jumps falls somewhere as theta rises; a bound expects"):
+        upper_bound(pool_of(tiny, Jumps()), [0, 1], time_limit=3)
     with pytest.raises(ValueError, match="Boundless does not say how far theta can come; a bound expects a rule"):
         upper_bound(pool_of(tiny, Boundless()), [0, 1], time_limit=3)
     with pytest.raises(ValueError, match="paths 4: expected 0, as sample paths do not have what people see"):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import KITTING, table_of
 
+from assist.declare.declared import declared
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel
@@ -19,11 +20,21 @@ from assist.person.frontier_bounds import never_erring
 from assist.person.robots import OfRobots
 from planner import Instance, Table
 
-GAMMA, LAPSE, C_SUGGEST = 0.95, 0.02, 0.3
+GAMMA, LAPSE = 0.95, 0.02
+ROBOT = OfRobots(c_suggest=0.3)
 
 
 def of(task: str) -> Table:
     return table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
+
+
+@declared
+class Discounted(OfRobots):
+    """A robot whose suggestions cost a tenth of what the setting says."""
+
+    @property
+    def costs(self) -> tuple[float, float, float]:
+        return 0.0, 0.1 * self.c_suggest, self.c_execute
 
 
 def somebody(sigma: float) -> Human:
@@ -31,14 +42,15 @@ def somebody(sigma: float) -> Human:
     return human
 
 
-def solved(task: str, human: Human | None, grid: Grid, eta: float, most: int, **options: Any) -> tuple[Any, Any, Any]:
+def solved(
+    task: str, human: Human | None, grid: Grid, eta: float, most: int, robot: OfRobots = ROBOT, **options: Any
+) -> tuple[Any, Any, Any]:  # fmt: skip
     """Return the MDP values of some states, (m, B, T), the bound, (m, B), and the bound without errors."""
     table = of(task)
     choices = Choices.of(table)
     known = {"eta": eta, "lapse": LAPSE}
     model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
     suggestions = "optimal" if options.get("optimal", True) else "all"
-    robot = OfRobots(c_suggest=C_SUGGEST)
     pomdp = AssistPOMDP.of(model, grid=grid, gamma=GAMMA, robot=robot, suggestions=suggestions)
     states = breadth_first(table, np.array([table.initial]), most)
     assumed = Assumptions(human=human, gamma=GAMMA, robot=robot, lapse=LAPSE)
@@ -65,6 +77,12 @@ def test_nobody_gets_more(task: str, most: int, optimal: bool, known: bool) -> N
     assert (bound <= nobody_errs + 1e-9).all()
     assert (bound < nobody_errs - 0.3).any()  # it is known that they err
     assert (bound - values[:, :, 1]).max() > 0.2  # with a doubtful person the value is lower
+
+
+def test_a_suggestion_costs_what_the_robot_says() -> None:
+    grid, robot = Grid(np.array([0.0, 0.5]), np.array([0.0, 0.3, 1.0])), Discounted(c_suggest=3.0)
+    values, bound, _ = solved("tiny", None, grid, 0.0, 10**6, robot=robot)
+    assert (bound[:, :, None] >= values - 1e-6).all()
 
 
 def test_who_always_complies_gets_as_much() -> None:

@@ -79,6 +79,16 @@ class Carries(OfRobots):
 
 
 @declared
+class Cheaper(Carries):
+    """A robot whose suggestions cost more the more kits it carries."""
+
+    @property
+    def costs(self) -> tuple[float, float, float]:
+        """What each class of robot actions costs."""
+        return 0.0, 0.1 * self.kits, 1.0
+
+
+@declared
 class Unmarked(Robot):
     """A robot with a field that does not say what the best of several robots has."""
 
@@ -93,6 +103,8 @@ def test_a_field_says_what_the_best_robot_has() -> None:
     assert not Fleet.of((Carries(kits=2), Carries())).alike  # type: ignore[arg-type]
     assert Fleet.of((Robot(c_execute=0.1), Robot())).alike  # which has no effect without execution
     assert Fleet.of((Robot(execute=True, c_execute=0.4), Robot(c_execute=0.1))).best.c_execute == 0.4
+    with pytest.raises(ValueError, match=r"a suggestion costs robot 2 less than the best robot .* Cheaper\.costs"):
+        _ = Fleet.of((Cheaper(kits=2), Cheaper())).extra  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"Unmarked\.kits: expected a mark in its annotation"):
         _ = Fleet.of((Unmarked(), Unmarked())).best
 
@@ -531,6 +543,27 @@ def test_a_cost_of_waiting_is_charged_weighed_and_bounded(c_wait: float) -> None
     for name in ("attention", "attention-never", "priority", "whittle"):
         value = bound.certify(name, episodes=1000)
         assert best - 0.2 < value.value <= best + 4 * value.value_stderr
+
+
+def test_a_bound_holds_where_one_robot_leaves_while_another_is_on_its_way() -> None:
+    """Two robots come to one person in turn, each with a suggestion where the ways differ; so neither ever waits."""
+    ways = [(8 - k, 7 - k, 1) for k in range(8)] + [(8 - k, 7 - k, 10) for k in range(1, 8, 2)]
+    robots = (Waits(c_wait=1.0), Waits(c_wait=1.0))
+    setting = Setting(robots=robots, c_suggest=1.0, c_move=0.0, travel_time=1, gamma=0.95, trust="constant", lapse=0.0)
+    known = Population(theta=(0.9, 0.9), beta=(0.01, 0.01))
+    pool = Pool.sample(Choices.of(sweep(graph_task(ways, start=8))), 1, seed=0, setting=setting, population=known)
+
+    def in_turn(team: TeamState) -> TeamAction:
+        person, action = np.full(team.location.shape, NOBODY), np.zeros_like(team.first_optimal())
+        if team.step % 2:
+            action = team.first_optimal()
+        person[team.active[:, 0], team.step // 2 % 2] = 0
+        return team.act(person, action)
+
+    bound = upper_bound(pool, gap=0.01)
+    value = bound.certify(in_turn, episodes=1000)
+    assert value.value - 4 * value.value_stderr <= bound.proven
+    assert value.value + 4 * value.value_stderr > -18.6, "who would be paid for waiting gets less than the bound"
 
 
 def test_who_waits_with_whom_pays() -> None:

@@ -363,6 +363,10 @@ def test_numbers_below_zero_by_a_rounding_error_are_zero() -> None:
 
 def test_wrong_policies_are_refused() -> None:
     agents = problem(0, 3)
+    little = Agents(np.ones((1, 2, 1, 1)), [[[0.0], [1.0]]], uses=[[0.0, 5e-7]])  # a unit may be as small as one likes
+    with pytest.raises(ValueError, match="use more than 0 units"):
+        simulate(little, lambda _, x: np.ones_like(x), 0)
+    assert simulate(little, lambda _, x: np.ones_like(x), 5e-7, runs=2).value > 0
     with pytest.raises(ValueError, match="use more than 1 units"):
         simulate(agents, lambda _, x: np.ones_like(x), 1)
     with pytest.raises(ValueError, match="expected actions"):
