@@ -12,7 +12,6 @@ import numpy as np
 
 from ..declare.declared import MOST
 from ..declare.refusals import Refusal
-from ..people.belief import moved as believed
 from ..people.decision import NOTHING, Floats
 from ..people.neighbourhood import NOBODY_SEES
 from ..people.neighbours import SeenEvent, parts_of
@@ -47,9 +46,8 @@ class Saw(News):
 
     def tell(self, team: Roster, record: RosterEntry, setting: Setting) -> None:  # noqa: ARG002
         """Move the belief in the person who saw it."""
-        grid = record.problem.policy.pomdp.grid
-        low, weight = grid.shares(team.beliefs.neighbours.rule.update(grid.theta, self.event), grid.count)
-        team.belief[record.place] = believed(team.belief[record.place, None], low[None], weight[None])[0]
+        belief, grid = team.belief[record.place, None], record.problem.policy.pomdp.grid
+        team.belief[record.place] = team.beliefs.neighbours.after(belief, grid, self.event)[0]
 
     def moved(self, theta: Floats, rule: TrustRule) -> Floats:
         """Return the person's own theta after it, under their rule."""

@@ -221,6 +221,11 @@ class Neighbourhood:
             found[at] = self.rule.update(found[at], event)
         return rows, found
 
+    def after(self, belief: Floats, grid: Grid, event: SeenEvent) -> Floats:
+        """Return the beliefs in m people, shape (m, H, T), after each has seen an event, arrays of shape (m, 1)."""
+        theta = self.rule.update(np.broadcast_to(grid.theta, (len(belief), len(grid.theta))), event)
+        return moved(belief, *grid.shares(theta, grid.count))
+
     def believe(self, belief: Floats, grid: Grid, helped: Helped, there: Bools) -> None:
         """Move theta in the beliefs about those who have seen something.
 

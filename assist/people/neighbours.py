@@ -33,7 +33,7 @@ from ..declare.declared import MOST, DeclarationError, Expected, Number, Truth, 
 from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, TrustRule, counts_of
 
 if TYPE_CHECKING:
-    from .decision import Bools, Floats
+    from .decision import Bools, Floats, Ints
 
 Range = tuple[float, float]
 Tried = tuple[tuple[float, ...], ...]
@@ -57,6 +57,10 @@ class SeenEvent:
     gain: Floats
     followed: Bools
     weight: Floats
+
+    def of(self, rows: Ints) -> SeenEvent:
+        """Return some of the events, given by the rows of the arrays."""
+        return SeenEvent(self.gain[rows], self.followed[rows], self.weight[rows])
 
 
 class SeenRule(Protocol):

@@ -17,10 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.belief import moved
 from ..people.decision import NOTHING, Floats
 from ..people.neighbourhood import each_once
-from ..people.neighbours import SeenEvent
 from ..person.policy import Policy
 from .attention import AttentionSwitching
 from .seen import gained
@@ -97,18 +95,12 @@ def _effects(
     People are given as indices of the flattened arrays. What is the same for a person is computed once.
     """
     who, event, place = each_once(who, gain, followed, sees)
-    effect, rule = np.zeros(len(who)), team.beliefs.neighbours.rule
-    model = team.model.reshape(-1)[who]
+    effect, model = np.zeros(len(who)), team.model.reshape(-1)[who]
     for group in np.unique(model).tolist():
-        policy = team.policies[group]
-        grid = policy.pomdp.grid
-        mine = np.flatnonzero(model == group)
+        policy, mine = team.policies[group], np.flatnonzero(model == group)
         for part in np.split(mine, range(AT_A_TIME, len(mine), AT_A_TIME)):
-            told = SeenEvent(event.gain[part], event.followed[part], event.weight[part])
-            theta = rule.update(np.broadcast_to(grid.theta, (len(part), len(grid.theta))), told)
-            changes = np.flatnonzero((theta != grid.theta).any(axis=1))
-            part, (x, belief) = part[changes], team.known_of(who[part[changes]])
-            after = moved(belief, *grid.shares(theta[changes], grid.count))
+            told, (x, belief) = event.of(part), team.known_of(who[part])
+            after = team.beliefs.neighbours.after(belief, policy.pomdp.grid, told)
             effect[part] = value(policy, x, after) - value(policy, x, belief)
     return effect[place]
 
