@@ -21,7 +21,8 @@ import numpy as np
 from tables import cell, more_option, record_option, write_record
 
 from assist.certify import upper_bound
-from assist.learning import compare_rules, fit_influence, replayed, seen_families, with_neighbours
+from assist.learning import compare_rules, fit_influence, replayed
+from assist.learning.neighbours_in_logs import seen_families, with_neighbours
 from assist.people.neighbourhood import NOBODY_SEES
 from assist.people.neighbours import Neighbours, SeenOutcome
 from assist.people.ranges import Population

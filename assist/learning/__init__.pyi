@@ -29,8 +29,6 @@ from .log import Log as Log
 from .log import read_log as read_log
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
 from .misconception_fit import fit_misconception as fit_misconception
-from .neighbours_in_logs import seen_families as seen_families
-from .neighbours_in_logs import with_neighbours as with_neighbours
 from .observations import EvaluatedStates as EvaluatedStates
 from .observations import Observations as Observations
 from .observations import UnknownGoals as UnknownGoals

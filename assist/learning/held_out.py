@@ -27,6 +27,7 @@ from .hierarchy import pooled
 from .likelihood import Method
 from .likelihood_table import LikelihoodTable
 from .logit_likelihood import Likelihood
+from .neighbours_in_logs import seen_families
 from .observations import Observations
 from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
@@ -103,8 +104,8 @@ def compare_models(
 @shows_progress
 def compare_rules(
     people: Evidence | Sequence[Observations] | AdviceLog, method: Method | None = None, *,
-    rules: Rules | None = None, reference: str = REFERENCE, folds: int = FOLDS, carry: bool = True,
-    time_limit: float | None = None, progress: Wanted = None,
+    rules: Rules | None = None, beside: str | None = None, reference: str | None = None, folds: int = FOLDS,
+    carry: bool = True, time_limit: float | None = None, progress: Wanted = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of trust rules by the log probability of the choices of held-out people.
 
@@ -119,8 +120,11 @@ def compare_rules(
     rules : mapping of str to RuleFamily, or to Rule or None
         The rules; the reference is among them. Those of `families` unless given. Of advice, those of `COMPARED`; None
         stands for base rates.
-    reference : str
-        The rule with which the others are compared.
+    beside : str, optional
+        Name of a rule of people's own: then rules by which theta also moves by what they see of neighbours are
+        compared, beside this one.
+    reference : str, optional
+        The rule with which the others are compared: "constant" unless given or, beside a rule, "none".
     folds : int
         Groups of people that are left out in turn.
     carry : bool
@@ -135,10 +139,16 @@ def compare_rules(
     InputFileError
         Nothing was ever suggested, or there are fewer than two people.
     ValueError
-        There are fewer than two folds, or the reference is missing, or the likelihood is not finite.
+        There are fewer than two folds, or there is no such rule or reference, or the likelihood is not finite.
     """
     assert callable(progress)
     method = method or Method()
+    if beside is not None:
+        own = families(method)
+        if beside not in own or rules is not None:
+            raise ValueError(f"beside '{beside}': expected one of {', '.join(own)}, and no other rules")
+        rules, reference = seen_families(own[beside]), reference or "none"
+    reference = reference or REFERENCE
     if isinstance(people, AdviceLog):
         names, choices = tuple(people.people), people.counts
         folds_of(len(names), folds)

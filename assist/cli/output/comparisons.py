@@ -39,16 +39,11 @@ def rules_compared(
 
     Expected errors end the command in one line.
     """
-    from ...learning.held_out import REFERENCE, compare_rules
-    from ...learning.neighbours_in_logs import seen_families
-    from ...learning.rule_families import families
+    from ...learning.held_out import compare_rules
 
-    rules, reference = (None, REFERENCE) if beside is None else (seen_families(families(method)[beside]), "none")
     try:
         with stages() as show:
-            return compare_rules(
-                people, method, rules=rules, reference=reference, folds=folds, carry=carry, progress=show
-            )
+            return compare_rules(people, method, beside=beside, folds=folds, carry=carry, progress=show)
     except ValueError as error:
         fail(f"{name}: {error}", ExitCode.FAILED)
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from conftest import invoke
 
-from assist.learning import compare_rules, fit_influence, replayed, seen_families, with_neighbours
+from assist.learning import compare_rules, fit_influence, replayed
 from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import LikelihoodTable
+from assist.learning.neighbours_in_logs import seen_families, with_neighbours
 from assist.learning.observations import Observations
 from assist.learning.rule_families import RuleFamily, parameters_of
 from assist.live.session import Session
@@ -263,3 +264,5 @@ def test_several_goals_are_refused_and_a_log_without_places_has_the_order_of_nam
         fit_influence(found, "constant", Method(neighbours=Neighbours(rule=own)))
     with pytest.raises(ValueError, match="expected 'constant' among them"):
         compare_rules(found, rules=seen_families(constant()))
+    with pytest.raises(ValueError, match="beside 'trusting': expected one of "):
+        compare_rules(found, beside="trusting")
