@@ -380,11 +380,15 @@ class Session(Reports):
 
     # Views. They show saved events only.
 
+    def see(self, look: Callable[[Any], T]) -> T:
+        """Return the result of a function of the state, which is called under the lock."""
+        with self.lock:
+            return look(self.history)
+
     @property
     def people(self) -> tuple[str, ...]:
         """The people who are present, in the order of their first arrival."""
-        with self.lock:
-            return self.history.people
+        return self.see(lambda history: history.people)
 
     def recommend(self, robot: int = 1) -> Advice:
         """Return the decision after the last event: to whom a robot goes, what it suggests, and why."""
@@ -414,8 +418,7 @@ class Session(Reports):
 
     def outlook(self) -> Outlook:
         """Return the team's part of the operator's view: the robots, the last events, and whether it is paused."""
-        with self.lock:
-            return self.history.outlook()
+        return self.see(lambda history: history.outlook())
 
     def began_with(self) -> list[str | None]:
         """Return the people who joined before anything else happened; None for those whose records were erased."""
@@ -430,8 +433,7 @@ class Session(Reports):
     @property
     def distance(self) -> list[list[float]] | None:
         """The distances in force; None if all are 1."""
-        with self.lock:
-            return self.history.distance if isinstance(self.history, Team) else None
+        return self.see(lambda history: history.distance if isinstance(history, Team) else None)
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -446,23 +448,21 @@ class Session(Reports):
         Refusal
             There is no such task.
         """
-        with self.lock:
-            return self.history.log(task)
+        return self.see(lambda history: history.log(task))
 
     def place(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
         return self._of(person, lambda history: history.place(person))
 
-    def _of(self, person: str, view: Callable[[History[Any]], T]) -> T:
+    def _of(self, person: str, view: Callable[[Any], T]) -> T:
         """Return a view of a person who is present."""
         with self.lock:
             self.history.require(person)
-            return view(self.history)
+            return self.see(view)
 
     def beliefs(self) -> dict[str, bytes]:
         """Return the belief about each present person, as the bytes of its array."""
-        with self.lock:
-            return self.history.beliefs()
+        return self.see(lambda history: history.beliefs())
 
 
 def _same(before: bytes, after: bytes) -> bool:

@@ -452,8 +452,7 @@ class Service:
         Refusal
             As in `Assistant.explain`.
         """
-        with self.session.lock:
-            later = self.session.history.explain_later(person, against)
+        later: Callable[[], Explanation] = self.session.see(lambda history: history.explain_later(person, against))
         return later()
 
     def _entries_of(self, people: list[str]) -> dict[str, bytes]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -208,11 +208,6 @@ class StudySession(Session):
         found = self.history
         assert isinstance(found, Cohort)
         return found
-
-    def see(self, look: Callable[[Cohort], Any]) -> Any:
-        """Return the result of a function of the participants, called under the lock."""
-        with self.lock:
-            return look(self.cohort)
 
 
 def policy_of(study: UserStudy, policy: str) -> str | TeamPolicy:

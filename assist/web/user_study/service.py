@@ -80,7 +80,6 @@ class StudyService(Service):
             session, access, connections=connections, texts=session.study.catalogue, ping=ping, check=check
         )  # fmt: skip
         self.study, self.folder, self.ticks, self.rehearsal = session.study, session.folder, ticks, rehearsal
-        self._held: StudySession = session
         self.guesses = Allowance(rate=1 / 30, burst=20)  # withdrawal codes that each network address may try
         self.arrivals = Allowance(rate=0.1, burst=300)  # new participants of each address, such as a waiting room
         self.often = Allowance(rate=1.0, burst=1000)  # what each participant does, all of which is saved
@@ -224,7 +223,7 @@ class StudyService(Service):
         if self.study.per_address is None or not event.takes_place:
             return await super().report(event)
         async with self._arriving:  # one after the other, so that no two take the last place
-            await asyncio.to_thread(self._held.see, partial(self._require_room, event.person))
+            await asyncio.to_thread(self.session.see, partial(self._require_room, event.person))
             return await super().report(event)
 
     def _require_room(self, code: str, cohort: Cohort) -> None:
@@ -256,9 +255,9 @@ class StudyService(Service):
 
     def due(self) -> tuple[list[Event], float]:
         """Return departures, expired time limits and ticks that are due, and when to look again."""
-        return self._held.see(self._due), self._every
+        return self.session.see(self._due), self._every
 
-    def _due(self, cohort: Cohort) -> list[StudyEvent]:
+    def _due(self, cohort: Cohort) -> list[Event]:
         now = self._loop.time()
         away = {
             code: None if self.connected(code) else now - self._heard.setdefault(code, now)
@@ -272,8 +271,7 @@ class StudyService(Service):
 
     async def overview(self) -> Overview:
         """Return each participant's stage, condition and status."""
-        found: Overview = await asyncio.to_thread(self._held.see, self._overview)
-        return found
+        return await asyncio.to_thread(self.session.see, self._overview)
 
     def _overview(self, cohort: Cohort) -> Overview:
         study, people = self.study, tuple(self._enrolled(cohort, who) for who in cohort.participants.values())

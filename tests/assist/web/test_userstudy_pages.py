@@ -267,7 +267,7 @@ def test_who_works_where_no_connection_can_be_kept_is_present(tiny: Table, tmp_p
         ann, bob = (web.come(name).json()["person"] for name in ("ann", "bob"))
 
         def left() -> set[str | None]:
-            return {event.person for event in web.service._held.see(web.service._due) if event.kind == "left"}
+            return {event.person for event in web.service.session.see(web.service._due) if event.kind == "left"}
 
         assert left() == set()
         for _ in range(2):
