@@ -56,25 +56,37 @@ def test_an_episode_is_the_simulators(pool: Pool, policy: str) -> None:
     assert total(TeamEnv(pool, 2), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
 
 
-@pytest.mark.parametrize("world", ["people", "model"])
-def test_an_episode_is_the_simulators_with_another_rule_of_trust(tiny_choices: Choices, world: str) -> None:
-    setting = Setting(c_suggest=0.0, c_move=0.0, trust=outcome_at_disagreement(-4.0, 4.0, 4.0), max_steps=40)
-    pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
-    found = simulate(pool, "attention", humans=3, episodes=EPISODES, seed=5, world=world)
-    assert total(TeamEnv(pool, 3, world=world), "attention") == pytest.approx(found.discounted_return.tolist())
-    constant = Pool.sample(tiny_choices, 4, seed=2, setting=replace(setting, trust="constant"))
-    other = simulate(constant, "attention", humans=3, episodes=EPISODES, seed=5, world=world)
-    assert other.discounted_return.tolist() != found.discounted_return.tolist()
+RULE = Setting(c_suggest=0.0, c_move=0.0, trust=outcome_at_disagreement(-4.0, 4.0, 4.0), max_steps=40)
+FAR = Setting(c_suggest=0.1, travel_time=2.0, max_steps=8)
+TWO = Setting(c_suggest=0.1, robots=2, max_steps=30)
+DIFFERENT = replace(
+    TWO, robots=(Robot(execute=True, c_execute=0.1, c_move=0.4), Robot(c_suggest=0.05, travel_time=1.0))
+)
 
 
-@pytest.mark.parametrize("world", ["people", "model"])
-def test_an_episode_is_the_simulators_where_ways_take_time(tiny_choices: Choices, world: str) -> None:
-    setting = Setting(c_suggest=0.1, travel_time=2.0, max_steps=8)
+@pytest.mark.parametrize(
+    ("policy", "setting", "world"),
+    [
+        ("attention", RULE, "people"), ("attention", RULE, "model"), ("priority", FAR, "people"),
+        ("priority", FAR, "model"), ("priority", TWO, "people"), ("priority", replace(TWO, travel_time=2.0), "people"),
+        ("priority", DIFFERENT, "people"), ("attention", DIFFERENT, "people"),
+    ],
+)  # fmt: skip
+def test_an_episode_is_the_simulators_whatever_the_setting(
+    tiny_choices: Choices, policy: str, setting: Setting, world: str
+) -> None:
     pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
-    found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5, world=world)
+    found = simulate(pool, policy, humans=3, episodes=EPISODES, seed=5, world=world)
     assert found.interventions.any()
-    assert not found.finished.all()  # some are cut off
-    assert total(TeamEnv(pool, 3, world=world), "priority") == pytest.approx(found.discounted_return.tolist())
+    assert found.executed.any() == (setting is DIFFERENT)
+    assert not found.finished.all() or setting is not FAR  # where some are cut off
+    assert total(TeamEnv(pool, 3, world=world), policy) == pytest.approx(found.discounted_return.tolist())
+
+
+def test_what_a_robot_cannot_do_is_masked(tiny_choices: Choices) -> None:
+    _, info = TeamEnv(Pool.sample(tiny_choices, 4, seed=2, setting=DIFFERENT), 3).reset(seed=1)
+    first, second = info["action_mask"]
+    assert first.sum() > second.sum() > 1
 
 
 def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> None:
@@ -268,28 +280,6 @@ def test_an_environment_needs_its_extra(tmp_path: Path, monkeypatch: pytest.Monk
         with pytest.raises(MissingExtraError, match=r"environments need gymnasium: .*\[gym\]"):
             importlib.import_module(name)
     assert tmp_path.exists()
-
-
-@pytest.mark.parametrize("travel_time", [0.0, 2.0])
-def test_an_episode_of_two_robots_is_the_simulators(tiny_choices: Choices, travel_time: float) -> None:
-    setting = Setting(c_suggest=0.1, travel_time=travel_time, robots=2, max_steps=30)
-    pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
-    found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5)
-    assert total(TeamEnv(pool, 3), "priority") == pytest.approx(found.discounted_return.tolist())
-
-
-@pytest.mark.parametrize("policy", ["priority", "attention"])
-def test_an_episode_of_robots_that_differ_is_the_simulators(tiny_choices: Choices, policy: str) -> None:
-    """One robot executes actions, one is slow and cheap; each pays its own costs, and what it cannot do is masked."""
-    robots = (Robot(execute=True, c_execute=0.1, c_move=0.4), Robot(c_suggest=0.05, travel_time=1.0))
-    pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(c_suggest=0.1, robots=robots, max_steps=30))
-    found = simulate(pool, policy, humans=3, episodes=EPISODES, seed=5)
-    assert found.executed.any()
-    env = TeamEnv(pool, 3)
-    assert total(env, policy) == pytest.approx(found.discounted_return.tolist())
-    _, info = env.reset(seed=1)
-    first, second = info["action_mask"]
-    assert first.sum() > second.sum() > 1
 
 
 def test_robots_that_differ_and_act_at_random_never_attend_to_the_same_person(tiny_choices: Choices) -> None:
