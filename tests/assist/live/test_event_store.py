@@ -21,7 +21,6 @@ from graphs import graph_task
 from hypothesis import given
 from sessions import EASY, HAPPENS, SETTING, happen
 from store_faults import Failing, schedule
-from userstudies import PLAN, Part, written
 
 from assist.declare import AbsentError
 from assist.live.events import Acted, Joined
@@ -31,9 +30,6 @@ from assist.live.session import Session
 from assist.live.store import EventStore, JournalError, stored
 from assist.live.team import Team
 from assist.person.settings import Setting
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.session import StudySession
-from assist.studies.userstudy.tables import tables
 from assist.team.priority import Priority
 from planner import Table, sweep
 from planner.system.errors import InputFileError
@@ -157,53 +153,6 @@ def test_a_short_name_within_the_words_of_a_reason_is_no_name(tiny: Table, tmp_p
         with pytest.raises(ValueError, match="without the person's name"):
             session.erase(name, f"as {name.lower()}, wished")
         assert session.erase(name, reason).reason == reason
-    session.close()
-
-
-def test_an_erased_participant_is_nowhere_and_the_others_stay(tiny: Table, tmp_path: Path) -> None:
-    """Codes, answers in words and actions are gone; others have the same views, beliefs, rows and conditions."""
-    study = read(written(tmp_path / "study.toml", PLAN))
-
-    def opened() -> StudySession:
-        return StudySession(study, {"tiny": tiny, "practice": tiny}, tmp_path / "data")
-
-    def seen(session: StudySession) -> Any:
-        names = [name for name in session.people if name != "P-BART"]
-        beliefs = {name: one for name, one in session.beliefs().items() if not name.startswith("P-BART")}
-        found = tables(study, tmp_path / "data" / "journal.sqlite")
-        rows = [
-            row
-            for table in (found.participants, found.tasks, found.actions, found.answers, found.events)
-            for row in table
-            if row["participant"] in names
-        ]
-        return [session.entry(name) for name in names], beliefs, rows, session.cohort.begun, session.log()
-
-    session = opened()
-    ann, bart, cid = (Part(session, name) for name in ("ann", "P-BART", "cid"))
-    for part in (ann, bart, cid):
-        part.come()
-        part.to("questionnaire remarks")
-        part.onward({"remarks": f"words of {part.name}"})
-    before = seen(session)
-    folder = tmp_path / "data"
-    assert b"words of P-BART" in content(folder)
-    session.erase("P-BART", "asked by post")
-    after = seen(session)
-    assert after[:4] == before[:4]
-    assert [row for row in before[4] if row["person"] != "P-BART"] == after[4]
-    assert b"BART" not in content(folder)
-    (row,) = [row for row in tables(study, folder / "journal.sqlite").participants if "erased" in row["participant"]]
-    assert (row["status"], row["completion_code"], row["arrived"]) == ("withdrew", None, None)
-    assert row["condition"] in ("none", "attention")
-    with pytest.raises(AbsentError):
-        session.person(row["participant"])
-    session.close()
-    session = opened()
-    assert seen(session) == after
-    dora = Part(session, "dora")
-    dora.come()
-    dora.to("thanks")  # the study goes on
     session.close()
 
 

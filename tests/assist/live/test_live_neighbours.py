@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import thinned
 
 from assist.declare import Refusal
 from assist.live.assistant import Assistant
@@ -238,7 +239,7 @@ def test_the_operators_view_says_who_sees_whom(tiny: Table, tmp_path: Path) -> N
     alone.close()
 
 
-@pytest.mark.parametrize("policy", ["attention-outlook", "priority", "whittle", "rollout"])
+@pytest.mark.parametrize("policy", thinned(["attention-outlook", "priority", "whittle", "rollout"]))
 def test_an_explanation_names_what_the_policy_counts_for_those_who_see_it(tiny: Table, policy: str) -> None:
     setting = Setting(c_suggest=0.05, c_move=0.0, trust="constant", neighbours=Neighbours(rule=SeenOutcome(0.3)))
     team = Assistant(tiny, list(NAMES), policy=policy, setting=setting)

@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, happen
 
-from assist.declare import AbsentError, InapplicableError, Refusal
+from assist.declare import InapplicableError
 from assist.live.assistant import Assistant
 from assist.live.desk import Desk
 from assist.live.event_base import Event, OfPerson, TeamEvent
@@ -307,28 +307,6 @@ def test_whoever_waits_is_served_when_time_elapses(opened: Callable[..., Session
     count = session.outlook().seq
     session.elapse()
     assert session.outlook().seq == count
-
-
-def test_people_come_go_and_have_tasks_of_their_own(opened: Callable[..., Session]) -> None:
-    session = opened()
-    assert session.join("ann")["task"] == "tiny"
-    assert session.join("bob", "fixed")["cost_to_go"] == 10.0
-    session.observe("ann", "(fetch box-a)")
-    session.leave("ann")
-    assert session.people == ("bob",)
-    with pytest.raises(AbsentError, match="'ann' is not in the team"):
-        session.observe("ann", WRONG)
-    session = opened()
-    assert session.join("ann")["steps"] == 1
-    assert session.begin("ann", "fixed")["task"] == "fixed"
-    assert session.arrived("ann")["location"] == "ann"
-    for wrong, said in ((("",), "expected a name"), (("a/b",), "expected a name"), (("x", "none"), "expected one of")):
-        with pytest.raises(ValueError, match=said):
-            session.join(*wrong)
-    with pytest.raises(InapplicableError, match="bob is there already"):
-        session.join("bob")
-    with pytest.raises(Refusal, match="no action of the task"):
-        session.observe("bob", "(fly)")
 
 
 def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(

@@ -28,8 +28,8 @@ PLACES = 3
 
 @pytest.mark.parametrize(
     ("trust", "noise", "on_demand"),
-    [
-        (trust, noise, (i + j) % 2 == 1)
+    [  # in make test, each rule and each noise
+        pytest.param(trust, noise, (i + j) % 2 == 1, marks=[pytest.mark.slow] * (i != j))
         for i, trust in enumerate(("paper", "outcome", "reliability"))
         for j, noise in enumerate(("state", "action", short_sighted))
     ],

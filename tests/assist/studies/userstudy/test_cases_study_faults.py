@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import thinned
 from store_faults import Failing
 from test_cases_withdrawal import answers, of_others
 from test_event_store import content, forked
@@ -233,7 +234,7 @@ def test_a_clock_that_is_set_back_changes_no_order_and_no_result(
     session.close()
 
 
-@pytest.mark.parametrize(("hours", "ends"), [(14, -14), (0, 0), (-12, 12)])
+@pytest.mark.parametrize(("hours", "ends"), [(14, -14), pytest.param(0, 0, marks=pytest.mark.slow), (-12, 12)])
 def test_the_last_day_for_withdrawals_is_a_day_where_the_service_is(
     tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hours: int, ends: int
 ) -> None:
@@ -314,7 +315,7 @@ def removes(statement: str, how: str) -> Callable[[Table, Path, Connection], Non
     return work
 
 
-@pytest.mark.parametrize("how", ["withdraw", "erase"])
+@pytest.mark.parametrize("how", thinned(["erase", "withdraw"]))
 @pytest.mark.parametrize(
     "statement", [one if one == "VACUUM" else pytest.param(one, marks=pytest.mark.slow) for one in STATEMENTS]
 )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import thinned
 from store_faults import Failing
 from test_event_store import content, forked
 from userstudies import PLAN, SCORES, Open, Part, opened, written
@@ -56,7 +57,7 @@ def of_others(session: StudySession, name: str) -> Any:
 
 
 @pytest.mark.usefixtures("no_figures")
-@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("late", thinned([True, False]))
 def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool) -> None:
     """Neither in the journal and its log, nor in the export and the report, nor in what a killed process left."""
     session = opened()
@@ -175,7 +176,7 @@ def test_what_was_withdrawn_before_is_removed_when_the_study_goes_on(
     assert b"words of ann" in content(session.folder)
 
 
-@pytest.mark.parametrize("fails", ["UPDATE events", "COMMIT", "VACUUM", "PRAGMA wal_checkpoint"])
+@pytest.mark.parametrize("fails", thinned(["UPDATE events", "COMMIT", "VACUUM", "PRAGMA wal_checkpoint"]))
 def test_a_withdrawal_whose_data_cannot_be_removed_says_so_and_is_completed(
     opened: Open, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
@@ -292,7 +293,7 @@ def test_who_withdraws_after_the_end_did_not_complete_the_study(opened: Open) ->
 
 
 @pytest.mark.usefixtures("no_figures")
-@pytest.mark.parametrize("how", ["withdraw", "erase"])
+@pytest.mark.parametrize("how", thinned(["withdraw", "erase"]))
 def test_a_report_that_is_being_written_has_nothing_of_who_withdraws_meanwhile(
     opened: Open, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:

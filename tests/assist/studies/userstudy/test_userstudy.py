@@ -350,31 +350,6 @@ def test_what_cannot_be_is_refused_and_changes_nothing(opened: Open) -> None:
             ann.report("onward", stage="questionnaire nasa-tlx", answers=answers)
 
 
-def test_data_can_be_withdrawn_after_the_end_and_are_in_no_table_then(opened: Open, tmp_path: Path) -> None:
-    session = opened()
-    ann, bob = Part(session, "ann"), Part(session, "bob")
-    for part in (ann, bob):
-        part.come()
-        part.to("thanks")
-    journal = next(tmp_path.rglob(JOURNAL))
-    before = tables(session.study, journal)
-    assert {row["participant"] for row in before.actions} == {"ann", "bob"}
-    assert all(row["consented"] >= row["arrived"] for row in before.participants)
-    for _ in range(2):  # a second time changes nothing
-        assert ann.report("withdrew")["study"]["kind"] == "withdrew"
-    with pytest.raises(InapplicableError):
-        ann.report("returned")
-    after = tables(session.study, journal)
-    assert [(row["participant"], row["status"], bool(row["completion_code"])) for row in after.participants] == [
-        ("ann", "withdrew", False), ("bob", "done", True),
-    ]  # fmt: skip
-    for name in ("tasks", "actions", "answers", "events"):
-        kept = [row for row in getattr(before, name) if row["participant"] == "bob"]
-        assert getattr(after, name) == kept
-    session.close()
-    assert opened().cohort.person("ann").study.kind == "withdrew"
-
-
 def test_data_can_be_withdrawn_until_the_studys_date_and_the_report_counts_everybody(
     opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
