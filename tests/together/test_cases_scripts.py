@@ -12,6 +12,7 @@ from typing import Any
 from urllib.parse import quote, urlencode
 
 import httpx2 as httpx
+import pytest
 from conftest import KITTING
 from serving import served
 from test_cases_networks import has_done, line
@@ -100,7 +101,6 @@ def test_no_script_in_a_report_runs(chromium: Any, tiny: Table, tmp_path: Path) 
         page.goto(figure.as_uri())
         assert page.evaluate("window.ran ?? null") is None
         assert page.locator("script").count() == 0
-    context.close()
 
 
 def kits(folder: Path) -> Path:
@@ -182,6 +182,7 @@ def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any
         assert not any("/" in name or name.startswith(".") for name in packed.namelist())
 
 
+@pytest.mark.slow
 def test_the_pages_of_a_team_obey_the_policy_too(chromium: Any, tiny: Table, tmp_path: Path) -> None:
     with line(tiny, tmp_path, chromium) as here:
         here.context.add_init_script(WATCH)

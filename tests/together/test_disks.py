@@ -143,6 +143,7 @@ def test_a_study_whose_folder_cannot_be_written_any_more_can_be_reported(tiny: T
         assert len(stored(tmp_path / "data" / JOURNAL)[1]) > 5
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_report_for_which_there_is_no_room_is_said_in_one_line_and_leaves_nothing(
     tiny: Table, disk: Path, tmp_path: Path
 ) -> None:
@@ -231,4 +232,3 @@ def test_a_participant_and_the_researcher_see_that_the_disk_is_full_and_nothing_
         page.wait_for_function("stage => !document.body.textContent.includes(stage)", arg="nichts speichern")
         assert service.session.person(person)["study"]["stage"] != before
         researcher.wait_for_selector(f"text=vents cannot be saved: {UNSAVED}", state="hidden")
-        context.close()

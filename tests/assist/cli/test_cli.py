@@ -11,7 +11,7 @@ from typing import Any
 import click
 import numpy as np
 import pytest
-from conftest import DOMAINS, KITTING, ROOT, invoke, kitassist, understood, write_instance
+from conftest import DOMAINS, KITTING, ROOT, invoke, kitassist, thinned, understood, write_instance
 
 from assist.cli import main
 from assist.cli.command_group import COMMANDS
@@ -348,17 +348,19 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     "command",
-    [
-        ("simulate", "TINY", "--humans", 2, "--episodes", 1),
-        ("bound", "TINY", "--humans", 1, "--policy", "none", "--value-episodes", 2, "--gap", 1),
-        ("policy", "TINY", "--gap", 1),
-        ("export", "TINY", "--out", "NEW.pomdpx"),
-        ("fit", "TINY", "LOG"),
-        ("compare", "models", "TINY", "LOG", "--folds", 2),
-        ("compare", "rules", "TINY", "LOG", "--folds", 2),
-        ("infer", "TINY", "LOG"),
-        ("draw", "TINY", "--out", "NEW.svg"),
-    ],
+    thinned(
+        [
+            ("simulate", "TINY", "--humans", 2, "--episodes", 1),
+            ("bound", "TINY", "--humans", 1, "--policy", "none", "--value-episodes", 2, "--gap", 1),
+            ("policy", "TINY", "--gap", 1),
+            ("export", "TINY", "--out", "NEW.pomdpx"),
+            ("fit", "TINY", "LOG"),
+            ("compare", "models", "TINY", "LOG", "--folds", 2),
+            ("draw", "TINY", "--out", "NEW.svg"),
+            ("compare", "rules", "TINY", "LOG", "--folds", 2),
+            ("infer", "TINY", "LOG"),
+        ]
+    ),
     ids=lambda command: str(command[0]),
 )
 def test_a_printed_setting_is_accepted_unedited(command: tuple[object, ...], recorded: Path, tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import signal
 import time
+import urllib.request
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -53,7 +55,7 @@ def test_the_goals_of_people_are_inferred() -> None:
 
 def test_people_act_the_service_ends_and_goes_on_where_it_was(tmp_path: Path, tiny: Table) -> None:
     options = ("--humans", 2, "--data", tmp_path, "--c-suggest", 0.1)
-    with served(*options) as service:
+    with served(*options) as service, ExitStack() as held:
         assert list(service.links) == ["person-1", "person-2"]
         seen = service.ask("GET", "/api/people/person-1", "person-1").json()
         assert seen["applicable"] == ["(fetch box-a)", "(fetch box-b)"]
@@ -64,8 +66,17 @@ def test_people_act_the_service_ends_and_goes_on_where_it_was(tmp_path: Path, ti
         assert (first.status_code, first.json()["steps"], first.json()["cost_to_go"]) == (200, 1, 5.0)
         team = service.ask("GET", "/api/team").json()
         links = service.links, service.operator
+        streams = []
+        for path in ("/api/people/person-1/events", "/api/team/events", "/api/team/changes"):
+            request = urllib.request.Request(service.url + path, headers={"Authorization": f"Bearer {service.token()}"})
+            streams.append(held.enter_context(urllib.request.urlopen(request, timeout=60)))
+            assert streams[-1].readline() == b"event: ping\n"
         code, said = service.end(signal.SIGTERM)
         assert code == 0
+        began = [line.split(" in ")[0].split(";")[0] for line in said.splitlines()]
+        assert began == ["preparing the session", "the session is saved"]  # and no task that was cancelled
+        for stream in streams:
+            assert stream.read().endswith(b"\n\n")  # complete events, and then an orderly end
         tokens = [link.partition("#")[2] for link in (*service.links.values(), service.operator)]
         assert not any(token in said for token in tokens)
     with served(*options) as service:

@@ -21,7 +21,7 @@ from userstudies import PLAN
 
 from assist.declare import catalogue
 from assist.studies.userstudy.codes import identifier
-from assist.studies.userstudy.csv_tables import is_formula, text_of, written
+from assist.studies.userstudy.csv_tables import is_formula, written
 from assist.web import request_limits
 from assist.web.request_limits import Allowance
 from assist.web.tokens import VISITOR, AccessTokens
@@ -296,17 +296,6 @@ def test_signs_that_are_no_text_end_no_file() -> None:
     found = written(("any",), [{"any": cell} for cell in cells])
     assert found.encode("utf-8").count("\ufffd".encode()) == len(cells)
     assert found.splitlines()[1:] == ["a\ufffdb", "\ufffd=1", "\ufffd", "\ufffd", "\ufffd", "a\ufffdb"]
-
-
-SIGNS = st.characters(blacklist_categories=("Cs", "Cc")) | st.sampled_from("=+-@' \u3000\u200b\uff1d\n\t")
-
-
-@given(st.text(SIGNS, max_size=12))
-def test_a_text_in_a_table_comes_back(text: str) -> None:
-    found = written(("any", "more"), [{"any": text, "more": "x"}])
-    (cell, _) = list(csv.reader(io.StringIO(found, newline="")))[1]
-    assert text_of(cell) == text
-    assert not is_formula(cell.removeprefix("'")) or cell.startswith("'")
 
 
 def test_answers_that_are_no_text_are_refused_and_the_export_stays_whole(tiny: Table, tmp_path: Path) -> None:

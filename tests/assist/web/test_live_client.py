@@ -5,14 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
 from typing import Any
 
 import pytest
-from serving import served
 
 from assist.connect.bridges.session_client import SessionClient
 from assist.declare.refusals import Refusal
@@ -131,18 +129,3 @@ def test_a_silent_stream_is_opened_again_by_programs_and_bridges() -> None:
 
     with streaming(502, 1, 2, silent=True) as link:
         assert asyncio.run(followed(link)) == [("view", {"seq": 1}), ("view", {"seq": 2})]
-
-
-def test_sigterm_ends_all_streams_at_once_and_says_nothing() -> None:
-    with served("--humans", 1) as service, ExitStack() as held:
-        streams = []
-        for path in ("/api/people/person-1/events", "/api/team/events", "/api/team/changes"):
-            request = urllib.request.Request(service.url + path, headers={"Authorization": f"Bearer {service.token()}"})
-            streams.append(held.enter_context(urllib.request.urlopen(request, timeout=60)))
-            assert streams[-1].readline() == b"event: ping\n"
-        code, said = service.end()
-        assert code == 0
-        began = [line.split(" in ")[0].split(";")[0] for line in said.splitlines()]
-        assert began == ["preparing the session", "the session is saved"]  # and no task that was cancelled
-        for stream in streams:
-            assert stream.read().endswith(b"\n\n")  # complete events, and then an orderly end

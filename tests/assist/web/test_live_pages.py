@@ -345,7 +345,6 @@ def sees_everybody_pauses_corrects_and_exports(chromium: Any, desk: Any, clicked
         page.click("#export")
     download.value.save_as(tmp_path / "log.jsonl")
     assert faults == []
-    page.close()
 
 
 def is_fitted(log: Path, person: str) -> None:
@@ -384,7 +383,6 @@ def test_somebody_completes_the_task_by_clicking_and_the_log_is_fitted(
     sees_everybody_pauses_corrects_and_exports(chromium, desk, clicked, tmp_path)
     is_fitted(tmp_path / "log.jsonl", clicked.person)
     clicked.has_no_faults()
-    page.close()
 
 
 def test_somebody_completes_the_task_by_keyboard_only(chromium: Any, desk: Any, paper: Table, artist: Artist) -> None:
@@ -411,7 +409,6 @@ def test_somebody_completes_the_task_by_keyboard_only(chromium: Any, desk: Any, 
     seat.finish()
     assert page.evaluate("document.activeElement.id") == "done-title"
     seat.has_no_faults()
-    page.close()
 
 
 @pytest.mark.slow
@@ -428,7 +425,6 @@ def test_somebody_completes_the_task_on_a_phone_by_touch(
     assert seat.steps() == 10
     assert violations(seat.page) == []
     seat.has_no_faults()
-    context.close()
 
 
 @pytest.mark.slow
@@ -457,7 +453,6 @@ def test_the_interface_is_described_without_a_foreign_server(chromium: Any, desk
     assert violations(page, dark=False, within=[".modal-ux"]) == []
     assert errors == []
     assert all(url.startswith((desk.url, "data:")) for url in asked)
-    page.close()
 
 
 def test_an_animation_is_a_page_that_everybody_can_use_and_has_no_script(
@@ -494,7 +489,6 @@ def test_an_animation_is_a_page_that_everybody_can_use_and_has_no_script(
     page = chromium.new_page()
     page.goto(file.as_uri())
     assert violations(page) == []
-    page.close()
 
 
 @pytest.mark.slow
@@ -561,7 +555,6 @@ def test_an_operator_sees_changes_and_readmits_a_person(chromium: Any, tmp_path:
         page.keyboard.press("Enter")
         page.wait_for_selector('.card:has-text("sealed: "):has-text("dora")')  # at the task that they left
         assert page.locator("#problem").is_hidden()
-        page.close()
 
 
 @pytest.mark.slow
@@ -587,7 +580,6 @@ def test_a_person_says_what_they_did_last_when_it_was_seen_badly(chromium: Any, 
         seat.locator('#actions button[data-action="(return box-b)"]').wait_for()
         assert "question" not in running.ask("GET", "/api/people/person-1").json()
         assert json.loads(running.ask("GET", "/api/log").text)["action"] == "(fetch box-b)"
-        seat.close()
 
 
 EVERYTHING_SHOWN = """() => {

@@ -27,7 +27,7 @@ from assist.web import server
 from assist.web.app import make_app
 from assist.web.client import request_of
 from assist.web.event_routes import body_of, inside_path
-from assist.web.request_limits import LARGEST, Allowance, networks
+from assist.web.request_limits import Allowance, networks
 from assist.web.service import Service
 from assist.web.tokens import AccessTokens
 from planner import Table
@@ -203,12 +203,7 @@ REFUSED: list[tuple[int, str, str, str | None, dict[str, Any]]] = [
     (422, "POST", f"{ANN}/actions", "ann", {"json": {"action": "(fetch box-a)", "suggested": 1}}),
     (409, "POST", f"{ANN}/actions", "ann", {"json": {"action": "(fetch box-b)", "followed": True}}),
     (422, "POST", f"{ANN}/actions", "ann", {"json": ["(fetch box-a)"]}),
-    (422, "POST", f"{ANN}/actions", "ann", {"content": b"{"}),
-    (422, "POST", f"{ANN}/actions", "ann", {"content": b"\xff\xfe"}),
     (422, "POST", f"{ANN}/actions", "ann", {"content": b'{"action": "\\ud800"}'}),
-    (422, "POST", f"{ANN}/actions", "ann", {"content": b"[" * 60_000}),
-    (413, "POST", f"{ANN}/actions", "ann", {"content": b" " * (LARGEST + 1)}),
-    (413, "POST", f"{ANN}/actions", "ann", {"content": iter([b" " * 40_000, b" " * 40_000])}),
     (409, "POST", f"{ANN}/undo", "ann", {}),
     (409, "POST", "/api/team/people", None, {"json": {"person": "ann"}}),
     (422, "POST", "/api/team/people", None, {"json": {"person": "../ann"}}),
@@ -362,15 +357,6 @@ def test_a_stream_shows_signs_of_life_and_ends_with_the_service(tiny: Table, tmp
             assert {kind for kind, _ in stream.rest()} <= {"ping", "view", "team"}
         with web.watch() as late, pytest.raises(EndedError):  # a keep-alive connection may still bring one
             late.view()
-
-
-def test_the_operator_is_told_of_everything(web: Web) -> None:
-    with web.watch(None) as team:
-        assert team.view()["people"][0]["steps"] == 0
-        web.act("(fetch box-a)")
-        while (told := team.view())["seq"] < 3:
-            pass
-        assert told["people"][0]["steps"] == 1
 
 
 def test_the_operator_sees_what_changes_while_the_view_is_computed(tiny: Table, tmp_path: Path) -> None:

@@ -424,7 +424,6 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
     actions = [json.loads(line)["action"] for line in packed.read("log-tiny.jsonl").decode().splitlines()]
     assert actions[2:] == tiny.optimal_plan(tiny.initial)
     assert faults == []
-    context.close()
 
 
 EARLIER = """() => {
@@ -495,4 +494,3 @@ def test_a_refusal_stays_on_the_page_and_each_task_has_a_clock_of_its_own(
         assert conducts.is_visible("#problem")
         conducts.click('#people button:text("Exclude")')
         conducts.wait_for_selector("#problem", state="hidden")
-    context.close()

@@ -32,9 +32,8 @@ TOKEN = re.compile(r"[\w-]{32}")
 
 
 @pytest.mark.skipif(NGINX is None, reason="nginx is not installed: `apt-get install nginx-light`")
-@pytest.mark.parametrize(
-    ("participants", "seconds"), [(3, 0.5), pytest.param(24, 5.0, marks=pytest.mark.slow)], ids=["3", "24"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("participants", "seconds"), [(3, 0.5), (24, 5.0)], ids=["3", "24"])
 def test_a_study_completes_behind_a_proxy_that_fails_twice(
     tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, participants: int, seconds: float
 ) -> None:
