@@ -23,9 +23,9 @@ STATUS = {
         "visitors_withdraw",
     ),
     429: ("crowded", "guesses", "joins", "many"),
-    503: ("busy",),
+    503: ("busy", "ended"),
 }  # fmt: skip
-"""Keys of refusals by their status over HTTP: not for whoever asks, too much at once, and too busy at present."""
+"""Keys of refusals by their status over HTTP: not for whoever asks, too much at once, and not now."""
 
 
 class Refusal(ValueError):  # noqa: N818 the family; its members are errors

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
 
-from ..declare.refusals import AbsentError, Refusal
+from ..declare.refusals import Refusal
 from ..live.names import name_of
 from .schemas import Problem
 from .service import Service
@@ -48,9 +48,9 @@ async def own(request: Request, person: str, _: Annotated[Any, Depends(bearer)] 
     person = name_of(person)
     if caller.person not in (None, person):
         raise Refusal("another")
-    if person not in request.app.state.service.views:
-        raise AbsentError("unknown", person=repr(person[:80]))
-    request.app.state.service.heard(caller.person)
+    service: Service = request.app.state.service
+    service.view(person)
+    service.heard(caller.person)
     return person
 
 

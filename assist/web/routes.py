@@ -61,7 +61,7 @@ async def session(request: Request, service: Desk) -> Response:
 @router.get("/api/people/{person}", tags=["people"], response_model=PersonView, responses=READ)
 async def view(person: Own, service: Desk) -> Response:
     """Return a person's view: the applicable actions, the suggestion and its reasons."""
-    return plain(service.views[person])
+    return plain(service.view(person))
 
 
 @router.get("/api/people/{person}/drawing", tags=["people"], response_model=Drawn, responses=READ | refusals(409, 422))
@@ -72,7 +72,7 @@ async def drawing(
     pictures: Pictures = request.app.state.pictures
 
     def drawn() -> View:
-        seen = json.loads(service.views[person])  # read before the state: `seq` is then never newer than the drawing
+        seen = json.loads(service.view(person))  # read before the state: `seq` is then never newer than the drawing
         task, state = service.session.place(person)
         return pictures.of(task, state, seen, width)
 
@@ -99,7 +99,7 @@ async def explanation(
     named = request.state.caller.person is None
 
     def explained() -> View:
-        seq = json.loads(service.views[person])["seq"]  # read before the state, as above
+        seq = json.loads(service.view(person))["seq"]  # read before the state, as above
         task, _ = service.session.place(person)
         found = service.explain(person, against)
         found = found.in_words(pictures.words(task, found.actions, spoken))

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
+from itertools import chain, groupby
 from typing import Any, ClassVar, Protocol
 
 from ..declare.catalogue import Catalogue, catalogue
@@ -150,6 +150,9 @@ class Service:
         self._reports: queue.Queue[tuple[Event | Erasure, asyncio.Future[Outcome]] | None] = queue.Queue(WAITING)
         self._changes: dict[str, bytes | None] = {}
         self._writer: threading.Thread | None = None
+        self._unanswered = set[asyncio.Future[Outcome]]()
+        self._accepts = True  # until the writer ends
+        self._late: str | None = None  # why it is not known what time has caused
 
     # Writing.
 
@@ -173,43 +176,66 @@ class Service:
         self._checking.cancel()
         self.end_streams()
         if self._writer is not None:
-            await asyncio.to_thread(self._reports.put, None)
+            if self._accepts:
+                await asyncio.to_thread(self._reports.put, None)
             await asyncio.to_thread(self._writer.join)
         self.session.close()
 
     def _write(self) -> None:
-        ended = False
-        while not ended:
-            taken = [self._reports.get()]
-            with suppress(queue.Empty):
-                while len(taken) < BATCH:
-                    taken.append(self._reports.get_nowait())
-            ended = None in taken
-            events, futures = list[Event](), list[asyncio.Future[Outcome]]()
-            erasures: list[tuple[Erasure, asyncio.Future[Outcome]]] = []
-            for what, future in (report for report in taken if report is not None):
-                if isinstance(what, Erasure):
-                    erasures.append((what, future))
-                else:
-                    events.append(what)
-                    futures.append(future)
-            if events:
-                self._carry_out(partial(self.session.report_all, events), futures)
-            for erasure, future in erasures:
-                self._carry_out(partial(self._erased, erasure), [future])
+        try:
+            while self._carry_out_queued():
+                pass
+        except BaseException:
+            logging.getLogger(__name__).exception("no report is accepted any more; expected a restart")
+        finally:
+            with suppress(RuntimeError):  # the event loop has ended, and nobody waits
+                self._loop.call_soon_threadsafe(self._end_reports)
 
-    def _erased(self, erasure: Erasure) -> list[Outcome]:
-        return [self.session.erase(erasure.person, erasure.reason).as_dict()]
+    def _end_reports(self) -> None:
+        """Refuse the reports that wait and those to come."""
+        self._accepts = False
+        with suppress(queue.Empty):
+            while True:
+                self._reports.get_nowait()
+        for future in self._unanswered:
+            if not future.done():
+                future.set_exception(Refusal("ended"))
 
-    def _carry_out(self, work: Callable[[], list[Outcome]], futures: list[asyncio.Future[Outcome]]) -> None:
+    def _carry_out_queued(self) -> bool:
+        """Carry out what is queued, in the order of its arrival; return whether there will be more."""
+        taken = [self._reports.get()]
+        with suppress(queue.Empty):
+            while len(taken) < BATCH:
+                taken.append(self._reports.get_nowait())
+        reports = [report for report in taken if report is not None]
+        for erases, run in groupby(reports, key=lambda report: isinstance(report[0], Erasure)):
+            some, futures = zip(*run, strict=True)
+            work = self._erase_all if erases else self.session.report_all
+            self._carry_out(partial(work, some), futures)
+        return len(reports) == len(taken)
+
+    def _erase_all(self, erasures: Sequence[Erasure]) -> list[Outcome]:
+        outcomes = list[Outcome]()
+        for erasure in erasures:
+            try:
+                outcomes.append(self.session.erase(erasure.person, erasure.reason).as_dict())
+            except Exception as error:  # noqa: BLE001  as below
+                outcomes.append(error)
+        return outcomes
+
+    def _carry_out(self, work: Callable[[], list[Outcome]], futures: Sequence[asyncio.Future[Outcome]]) -> None:
         """Change the session, and deliver the outcomes and the new views."""
         self._changes = {}
         try:
             outcomes = work()
         except Exception as error:  # noqa: BLE001  every error is passed to the clients that wait
             outcomes = [error] * len(futures)
-        seen = dict(self._changes), self.session.outlook()
-        self._loop.call_soon_threadsafe(self._deliver, futures, outcomes, *seen)
+        try:
+            outlook: Outlook | None = self.session.outlook()
+        except Exception:
+            logging.getLogger(__name__).exception("the team's part of the operator's view is that of before")
+            outlook = None
+        self._loop.call_soon_threadsafe(self._deliver, futures, outcomes, dict(self._changes), outlook)
 
     def _seen(self, touched: set[str], followed: Sequence[bool]) -> None:
         """Update the views of people for whom something changed. The writer calls it after saving the events."""
@@ -221,9 +247,10 @@ class Service:
                 self._changes[person] = None
 
     def _deliver(
-        self, futures: list[asyncio.Future[Outcome]], outcomes: list[Outcome], changes: dict[str, bytes | None],
-        outlook: Outlook,
+        self, futures: Sequence[asyncio.Future[Outcome]], outcomes: list[Outcome], changes: dict[str, bytes | None],
+        outlook: Outlook | None,
     ) -> None:  # fmt: skip
+        outlook = outlook or self.outlook
         if outlook.fault not in (None, self.outlook.fault):
             logging.getLogger(__name__).warning("the policy: %s", outlook.fault)
         before, self.outlook = self.outlook, outlook
@@ -260,19 +287,15 @@ class Service:
         Raises
         ------
         Refusal
-            Too many reports are queued.
+            Too many reports are queued, or none is accepted any more.
         Exception
             Any error of `Session.report` or `Session.erase`.
         """
-        future: asyncio.Future[Any] = self._loop.create_future()
         kind = event.kind if isinstance(event, Event) else "erased"
         began, outcome = self._loop.time(), "failed"
         try:
-            self._reports.put_nowait((event, future))
-            answer: dict[str, Any] = await future
+            answer = await self._queued(event)
             outcome = "recorded"
-        except queue.Full:
-            raise Refusal("busy", n=self._reports.maxsize) from None
         except ValueError:
             outcome = "refused"
             raise
@@ -282,13 +305,30 @@ class Service:
             REPORTS.info("report", extra={"event": kind, "outcome": outcome, "seconds": round(seconds, 6)})
         return answer
 
+    async def _queued(self, event: Event | Erasure) -> dict[str, Any]:
+        """Queue a report, and return its answer; errors as in `report`."""
+        if not self._accepts:
+            raise Refusal("ended")
+        future: asyncio.Future[Any] = self._loop.create_future()
+        self._unanswered.add(future)
+        try:
+            self._reports.put_nowait((event, future))
+            answer: dict[str, Any] = await future
+        except queue.Full:
+            raise Refusal("busy", n=self._reports.maxsize) from None
+        finally:
+            self._unanswered.discard(future)
+        return answer
+
     def unready(self) -> list[str]:
         """Return why the service is not ready to do all its work; empty if it is."""
         found = [f"{name} is not connected" for name, bridge in self.bridges.items() if not bridge.connected]
         if (fault := self.session.fault()) is not None:
             found.append(f"events cannot be saved: {fault}")
-        if self._writer is None or not self._writer.is_alive():
+        if self._writer is None or not self._accepts:
             found.append("the service does not accept reports")
+        if self._late is not None:
+            found.append(f"what time causes is not known: {self._late}")
         return found
 
     async def reload(self) -> ReadAgain:
@@ -319,8 +359,14 @@ class Service:
         pause = 0.0
         while True:
             await asyncio.sleep(min(self._every, max(0.01, pause)))
-            events, later = await asyncio.to_thread(self.due)
-            pause = 0.0 if events else later
+            try:
+                events, later = await asyncio.to_thread(self.due)
+            except Exception as error:
+                if self._late is None:
+                    logging.getLogger(__name__).exception("the clock: it is not known what is due")
+                self._late, pause = str(error), self._every
+                continue
+            self._late, pause = None, 0.0 if events else later
             for event in events:
                 try:
                     await self.report(event)
@@ -357,6 +403,19 @@ class Service:
 
     # Watching.
 
+    def view(self, person: str) -> bytes:
+        """Return a person's view as JSON.
+
+        Raises
+        ------
+        AbsentError
+            The person is not present.
+        """
+        found = self.views.get(person)
+        if found is None:
+            raise AbsentError("unknown", person=repr(person[:80]))
+        return found
+
     def heard(self, person: str | None) -> None:  # noqa: ARG002  a user study needs it
         """Note a request or a connection of a person, or of the operator (None)."""
         self.visited.set()
@@ -372,10 +431,11 @@ class Service:
         return watcher
 
     def watch(self, person: str) -> Watcher:
-        """Register a watcher of a person's view."""
+        """Register a watcher of a person's view; errors as in `view`."""
+        seen = self.view(person)
         watcher = self._begun(Watcher(), self._watchers.setdefault(person, set()))
         watcher.tell("faults", streamed("faults", _json(self.faults())))
-        watcher.tell("view", streamed("view", self.views[person]))
+        watcher.tell("view", streamed("view", seen))
         self._connected(person)
         return watcher
 

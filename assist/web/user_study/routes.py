@@ -85,7 +85,7 @@ async def visit(request: Request, coming: Annotated[Visit, told(Visit)], study: 
     )  # fmt: skip
     code = seen["person"]
     part = study.access.join_url(code).removeprefix(study.access.base).replace("/join/", "/part/", 1)
-    now = json.loads(study.views[code])  # may be later than the answer
+    now = json.loads(study.view(code))  # may be later than the answer
     answer = plain(Seat(code, part, Progress(**now["study"])))
     cookies.keep(answer, study.access, kept, study.access.signed(SEAT, code))
     return answer

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -23,7 +24,7 @@ from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
 from assist.people.ranges import Population
 from assist.studies.userstudy.events import StudyEvent
-from assist.web import server
+from assist.web import routes, server
 from assist.web.app import make_app
 from assist.web.client import request_of
 from assist.web.event_routes import body_of, inside_path
@@ -485,6 +486,21 @@ def test_streams_count_like_requests_and_each_person_has_so_many(tiny: Table, tm
                 web.ask("GET", ANN, "ann")
             refused = held.enter_context(web.watch())
             assert (refused.status, refused.detail) == (429, detail)
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize("path", ["drawing", "explanation"])
+def test_who_leaves_while_an_answer_is_made_for_them_is_not_there(
+    web: Web, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    async def late(work: Any) -> Any:
+        await web.service.report(Left(person="ann"))
+        return await asyncio.to_thread(work)
+
+    monkeypatch.setattr(routes, "asyncio", SimpleNamespace(to_thread=late))
+    answer = web.ask("GET", f"{ANN}/{path}", "ann")
+    assert (answer.status_code, set(answer.json())) == (404, {"detail"})
+    assert "ann" in answer.json()["detail"]
 
 
 def test_the_operator_erases_what_is_recorded_of_a_person(web: Web) -> None:
