@@ -113,7 +113,7 @@ class Desk(Knowledge):
         if followed and (offer is None or offer.action.lower() != in_pddl(action or "")):
             said = "nothing is suggested" if offer is None else f"{offer.action} is suggested"
             raise InapplicableError("other", why=f"followed is true and the action {action}, but {said}")
-        return offer is None or seq is None or seq >= offer.number or followed is not None
+        return offer is None or seq is None or seq >= offer.number or bool(followed)
 
     @property
     def finished(self) -> bool:

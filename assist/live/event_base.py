@@ -66,7 +66,7 @@ class Event(Recorded):
     kind: str
     """The kind of event."""
     id: Annotated[str, Field(min_length=1, max_length=128), Expected("1 to 128 characters")] | None = None
-    """Chosen by the client. A repeated id returns the first answer."""
+    """Chosen by the reporter. A repeated report returns the first answer; another one with the same id is refused."""
 
     path: ClassVar[str | None] = None
     """Where it is reported over HTTP, by POST; None if it is not. `{person}` and `{robot}` stand for these fields."""
@@ -96,9 +96,14 @@ class Event(Recorded):
         return found
 
     @property
-    def target(self) -> tuple[Any, ...]:
-        """What two reports with the same id have in common, if one repeats the other."""
-        return (self.kind,)
+    def reporter(self) -> str:
+        """Whose ids its id is one of: those of reports of its person, of a robot, or, if empty, of the team."""
+        return self.who or ""
+
+    @property
+    def reported(self) -> str:
+        """What was reported, as JSON: the same for a report that is repeated."""
+        return self.model_dump_json(include={"kind", *self.fields()})
 
     @property
     def begins(self) -> str | None:

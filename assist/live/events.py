@@ -274,9 +274,9 @@ class Arrived(TeamEvent):
     shows: ClassVar[Literal["person", "place", "robot"]] = "robot"
 
     @property
-    def target(self) -> tuple[Any, ...]:
-        """The robot, too: robots that count their reports on their own use the same ids."""
-        return self.kind, self.robot
+    def reporter(self) -> str:
+        """The robot; no name of a person has brackets."""
+        return f"(robot {self.robot})"
 
     def recorded(self, desk: Desk) -> Self | None:
         """Check that there is such a robot and person."""

@@ -89,30 +89,6 @@ def _chances(task: CostToGo | Goals, population: Population) -> str:
     return content.hexdigest()[:32]
 
 
-def require_version(file: Path, found: Mapping[str, Any], format: str) -> None:
-    """Check that a saved session is not one of another version.
-
-    Parameters
-    ----------
-    file : Path
-    found : mapping
-        Its header.
-    format : str
-        The format identifier of this version.
-
-    Raises
-    ------
-    InputFileError
-        It is; the message states which version reads it.
-    """
-    known = str(found.get("format", ""))
-    if known != format and _kind(known) == _kind(format):
-        version = found.get("version", "1.0")
-        raise InputFileError(
-            f"{file}: was recorded by kitassist {version}, and only that version reads it; expected another folder"
-        )
-
-
 def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
     """Check that the header of a saved session is the expected one.
 
@@ -121,8 +97,6 @@ def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, An
     InputFileError
         The file belongs to another session; the message states all differences.
     """
-    if "format" in expected:
-        require_version(file, found, expected["format"])
     differ = {n: v for n, v in expected.items() if n not in ("files", "version") and found.get(n) != v}
     if not differ:
         return
@@ -133,11 +107,6 @@ def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, An
         shown = (one for name, value in differ.items() for one in _shown(name, found.get(name), value))
         said.append(f"the session there has {'; '.join(shown)}")
     raise InputFileError(f"{file}: {'; '.join(said)}; expected the same, or another folder")
-
-
-def _kind(format: str) -> str:
-    """Return a format identifier without its number."""
-    return format.rpartition(" ")[0]
 
 
 def _others(header: Mapping[str, Any], tasks: dict[str, str], files: dict[str, str | None]) -> str:

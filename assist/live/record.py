@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import (
@@ -16,6 +17,8 @@ from pydantic import (
     ValidationError,
     model_serializer,
 )
+
+from planner.system.errors import InputFileError
 
 from ..declare.declared import Number, Whole
 from .advice import Advice
@@ -99,7 +102,7 @@ class TeamRecord(Record):
     advices: Annotated[tuple[Advice, ...], AfterValidator(_for_somebody)] = ()
     """The advice of each robot after the event; empty if it is the same as before, or nothing was decided."""
 
-    format: ClassVar[str] = "kitassist session 3"
+    format: ClassVar[str] = "kitassist session 4"
 
     @model_serializer(mode="wrap")
     def _short(self, given: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -161,3 +164,32 @@ def without_in_view(answer: dict[str, Any], person: str, label: str) -> dict[str
         if answer["person"] == person:
             answer |= {"person": label, "suggestion": None, "reason": None}
     return answer
+
+
+def require_version(file: Path, found: Mapping[str, Any], format: str) -> None:
+    """Check that a saved session is not one of another version.
+
+    Parameters
+    ----------
+    file : Path
+    found : mapping
+        Its header.
+    format : str
+        The format identifier of this version.
+
+    Raises
+    ------
+    InputFileError
+        It is; the message states which version reads it.
+    """
+    known = str(found.get("format", ""))
+    if known != format and _kind(known) == _kind(format):
+        version = found.get("version", "1.0")
+        raise InputFileError(
+            f"{file}: was recorded by kitassist {version}, and only that version reads it; expected another folder"
+        )
+
+
+def _kind(format: str) -> str:
+    """Return a format identifier without its number."""
+    return format.rpartition(" ")[0]

@@ -281,7 +281,7 @@ class Session(Reports):
         answer = (history.robot(number) if of_robot else history.person(event.who or "")).as_dict()
         if record is None:
             return answer
-        self._store.add(record, answer, at=utc())
+        self._store.add(record, answer, event, at=utc())
         touched |= history.touched(record)
         if (said := history.followed(record)) is not None:
             followed.append(said)
@@ -290,15 +290,15 @@ class Session(Reports):
         return answer
 
     def _known(self, event: Event) -> Outcome | None:
-        """Return the stored answer if this event was applied before under its id, else None."""
+        """Return the stored answer if this event was applied before under its id, a refusal if another was, or None."""
         try:
-            found = self._store.answer(event.who, event.id) if event.id else None
+            found = self._store.answer(event)
         except UnicodeEncodeError:
             return Refusal("other", why=f"the id {event.id!r} is no text; expected letters, digits and signs")
         if found is None:
             return None
-        record, answer = found
-        if record.event.target != event.target:
+        reported, answer = found
+        if reported != event.reported:
             return InapplicableError("other", why=f"the id {event.id!r} belongs to another event; expected a new id")
         return answer
 

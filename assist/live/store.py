@@ -29,7 +29,8 @@ from planner.system.errors import InputFileError
 
 from ..declare.declared import AnyText, View, Whole, declared
 from ..declare.rows import created, insert, select
-from .record import Record
+from .event_base import Event
+from .record import Record, require_version
 
 R = TypeVar("R", bound=Record)
 
@@ -64,15 +65,18 @@ class EventRow:
     n: Annotated[Whole, Field(ge=1, description="Number of the event.")]
     at: Annotated[AnyText | None, Field(description="When it was stored, UTC; null for erased events.")]
     person: Annotated[AnyText, Field(description="Of whom it is; empty for events without a person.")]
-    id: Annotated[AnyText | None, Field(description="Chosen by the client.")]
     record: Annotated[AnyText, Field(description="The record, as JSON.")]
+    reporter: Annotated[AnyText, Field(description="Whose ids its id is one of.")]
+    id: Annotated[AnyText | None, Field(description="Chosen by the reporter.")]
+    reported: Annotated[AnyText | None, Field(description="What was reported, as JSON; kept if there is an id.")]
     answer: Annotated[AnyText | None, Field(description="What was answered, as JSON; kept if there is an id.")]
 
 
 TABLES = ";".join((
     "CREATE TABLE IF NOT EXISTS header (document TEXT NOT NULL)",
-    created("events", EventRow, {"n": "PRIMARY KEY"}, "CHECK ((id IS NULL) = (answer IS NULL))"),
-    "CREATE UNIQUE INDEX IF NOT EXISTS answered ON events (person, id) WHERE id IS NOT NULL",
+    created("events", EventRow, {"n": "PRIMARY KEY"},
+            "CHECK ((id IS NULL) = (answer IS NULL) AND (id IS NULL) = (reported IS NULL))"),
+    "CREATE UNIQUE INDEX IF NOT EXISTS answered ON events (reporter, id) WHERE id IS NOT NULL",
     created("erased", Buried, {"label": "PRIMARY KEY"}),
 ))  # fmt: skip
 
@@ -135,6 +139,8 @@ class EventStore(Generic[R]):
                 fault = db.execute("PRAGMA quick_check(1)").fetchone()[0]
                 if fault != "ok":
                     raise InputFileError.of(self.file, None, f"is damaged ({fault}); expected the journal of a session")
+                if db.execute("SELECT 1 FROM sqlite_master WHERE name = 'header'").fetchone() is not None:
+                    require_version(self.file, _header(db, self.file) or {}, self._kind.format)
                 db.executescript(TABLES)
             except BaseException:
                 db.close()
@@ -167,16 +173,18 @@ class EventStore(Generic[R]):
         except (TypeError, ValueError) as error:
             raise self.damaged(n, error) from error
 
-    def answer(self, person: str | None, id: str) -> tuple[R, dict[str, Any]] | None:
-        """Return the record of the event of this person and id, and its answer; None if there is none."""
+    def answer(self, event: Event) -> tuple[str, dict[str, Any]] | None:
+        """Return what the reporter of an event has reported under its id, with the answer; None if nothing."""
+        if event.id is None:
+            return None
         with self._sqlite_errors():
             row = self._db.execute(
-                "SELECT n, record, answer FROM events WHERE person = ? AND id = ?", (person or "", id)
+                "SELECT n, reported, answer FROM events WHERE reporter = ? AND id = ?", (event.reporter, event.id)
             ).fetchone()
         if row is None:
             return None
-        n, record, answer = row
-        return self._record(record, n), _document(answer, self.file, n)
+        n, reported, answer = row
+        return reported, _document(answer, self.file, n)
 
     def next_label(self) -> str:
         """Return a label for the next person whose records are erased."""
@@ -225,10 +233,10 @@ class EventStore(Generic[R]):
         with self._sqlite_errors():
             self._db.execute("INSERT INTO header VALUES (?)", (_text(header),))
 
-    def add(self, record: R, answer: Any, *, at: str) -> None:
-        """Add an event within a transaction; `answer` is stored if the event has an id."""
-        person, id = record.event.who or "", record.event.id
-        row = EventRow(record.n, at, person, id, record.text(), None if id is None else _text(answer))
+    def add(self, record: R, answer: Any, event: Event, *, at: str) -> None:
+        """Add the record of a reported event within a transaction; `answer` is stored if the event has an id."""
+        known = (None, None, None) if event.id is None else (event.id, event.reported, _text(answer))
+        row = EventRow(record.n, at, record.event.who or "", record.text(), event.reporter, *known)
         with self._sqlite_errors():
             insert(self._db, "events", row)
 
@@ -279,8 +287,11 @@ class EventStore(Generic[R]):
             if owner != person and (after, answered) == (record, given):
                 yield record
                 continue
-            own = {"at": None, "person": after.event.who or "", "id": after.event.id} if owner == person else {}
-            new = {**own, "record": after.text(), "answer": None if answered is None else _text(answered)}
+            new: dict[str, Any] = {"record": after.text(), "answer": None if answered is None else _text(answered)}
+            if owner == person:
+                id = after.event.id
+                new |= {"at": None, "person": after.event.who or "", "reporter": after.event.reporter}
+                new |= {"id": id, "reported": None if id is None else after.event.reported}
             with self._sqlite_errors():
                 self._db.execute(
                     f"UPDATE events SET {', '.join(f'{name} = :{name}' for name in new)} WHERE n = :n", new | {"n": n}

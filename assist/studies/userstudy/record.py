@@ -40,7 +40,7 @@ class StudyRecord(Record):
     seen: Seen | None = None
     """What a participant saw who acted."""
 
-    format: ClassVar[str] = "kitassist user study 3"
+    format: ClassVar[str] = "kitassist user study 4"
 
     def note(self, roll: Roll) -> None:
         """Change who takes part in the study, and at which stage."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from planner.system.errors import InputFileError
 
-from ...live.header import require_version
+from ...live.record import require_version
 from ...live.store import stored
 from .csv_tables import Column, written
 from .events import Onward

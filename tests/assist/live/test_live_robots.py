@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, all_of
 from starlette.testclient import TestClient
 
-from assist.declare import Refusal
+from assist.declare import InapplicableError, Refusal
 from assist.declare.declared import plain
 from assist.live.assistant import Assistant
 from assist.live.event_base import TeamEvent
@@ -121,7 +121,7 @@ def test_more_robots_than_people_leave_the_others_where_they_are(tiny: Table) ->
 
 
 def test_two_robots_that_report_the_same_arrival(tiny: Table, tmp_path: Path) -> None:
-    """One of them makes the suggestion. A report with the id of another robot's report is refused, not forgotten."""
+    """One of them makes the suggestion. The same id of another robot is another report."""
     setting = Setting(c_suggest=0.02, c_move=0.01, trust="paper", robots=2)
     session = Session({"tiny": tiny}, tmp_path / "one.sqlite", setting=setting, population=Population())
     session.report_all(
@@ -134,12 +134,15 @@ def test_two_robots_that_report_the_same_arrival(tiny: Table, tmp_path: Path) ->
         assert [one.suggestion is None for one in session.outlook().robots] == [False, True]
     session.report_all([Arrived(robot=1)])
     assert [one.person for one in session.outlook().robots] == [None, "ann"]  # who is still there
-    first, again, other = session.report_all([
+    first, again, other, own = session.report_all([
         Arrived(person="ann", robot=1, id="7"), Arrived(person="ann", robot=1, id="7"),
-        Arrived(person="ann", robot=2, id="7"),
+        Arrived(person="ann", robot=2, id="7"), Acted(person="ann", action="(fetch box-a)", id="7"),
     ])  # fmt: skip
     assert first == again
-    assert str(other) == "the id '7' belongs to another event; expected a new id"
+    assert isinstance(other, dict)
+    assert isinstance(own, InapplicableError)
+    assert "(fetch box-a) is not applicable" in str(own)
+    assert [one.location for one in session.outlook().robots] == ["ann", "ann"]
     session.close()
 
 

@@ -23,7 +23,7 @@ from assist.declare import InapplicableError
 from assist.live.assistant import Assistant
 from assist.live.desk import Desk
 from assist.live.event_base import Event, OfPerson, TeamEvent
-from assist.live.events import Acted, Began, Joined, kinds
+from assist.live.events import Acted, Began, Joined, Paused, kinds
 from assist.live.lines import Line
 from assist.live.live_setting import LiveSetting
 from assist.live.session import Session
@@ -128,8 +128,13 @@ def test_the_same_id_is_answered_as_the_first_and_happens_once(opened: Callable[
     assert session.observe("ann", "(fetch box-a)", id="1") == first
     assert session.report_all(together) == answers
     assert len(session.log()) == 3
-    with pytest.raises(InapplicableError, match="the id '1' belongs to another event"):
-        session.undo("ann", id="1")
+    for other in (lambda: session.undo("ann", id="1"), lambda: session.observe("ann", WRONG, id="1")):
+        with pytest.raises(InapplicableError, match="the id '1' belongs to another event; expected a new id"):
+            other()
+    session.join("bob", id="1")
+    session.pause()
+    assert session.report(Paused(paused=False, id="1"))["suggestion"] == session.outlook().robots[0].suggestion
+    assert not session.outlook().paused
 
 
 def test_a_view_counts_the_events_of_a_kind_with_a_line_until_they_are_taken_back(
@@ -283,8 +288,11 @@ def test_a_suggestion_that_came_too_late_was_not_heard(opened: Callable[..., Ses
     assert session.person("ann")["reason"] == seen["reason"]
     with pytest.raises(InapplicableError, match="followed is true and the action"):
         session.observe("ann", "(return box-a)", followed=True)
-    session.observe("ann", seen["suggestion"], followed=True, seq=seen["seq"])
-    assert session.log()[-1]["suggestion"] == seen["suggestion"]
+    for followed, late, answered in ((True, 0, True), (True, 1, True), (False, 0, True), (False, 1, False)):
+        action, now = seen["suggestion"] if followed else "(return box-a)", session.person("ann")["seq"]
+        session.observe("ann", action, followed=followed, seq=now - late)
+        assert session.log()[-1]["suggestion"] == (seen["suggestion"] if answered else None)
+        session.undo("ann")
 
 
 def test_whoever_waits_is_served_when_time_elapses(opened: Callable[..., Session]) -> None:
