@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 
 from ..declare.options import Given, setting_options
-from .options.common import baseline_option, figures_option, json_option, out_option, separate_files, together
+from .options.common import apart, baseline_option, figures_option, json_option, out_option, separate_files, together
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, folds_option, method_of, reading_options, task_log_options, with_task
 from .options.settings import EstimateSetting
-from .options.trust import AdviceOptions, advice_of, advice_options, influence_option
+from .options.trust import AdviceOptions, advice_of, advice_options, influence_option, rules_option
 from .output.comparisons import ComparisonFiles, models_compared, rules_compared, show_comparison
 from .terminal.console import ExitCode, one_line_errors
 
@@ -63,13 +63,14 @@ def models(
 @task_log_options(required=False)
 @folds_option
 @influence_option
+@rules_option
 @advice_options
 @comparison_files
 @reading_options
 @setting_options(EstimateSetting)
 def rules(
-    log: TaskLog, folds: int, trust: str | None, judged: AdviceOptions, files: ComparisonFiles, reading: ReadingOptions,
-    setting: EstimateSetting, given: Given[EstimateSetting],
+    log: TaskLog, folds: int, trust: str | None, chosen: tuple[str, ...], judged: AdviceOptions,
+    files: ComparisonFiles, reading: ReadingOptions, setting: EstimateSetting, given: Given[EstimateSetting],
 ) -> None:  # fmt: skip
     """Compare trust rules on a LOG of people's actions, or on judgements with --advice.
 
@@ -86,11 +87,12 @@ def rules(
             return
         if (trust is None) != (setting.neighbours is None):
             raise click.UsageError("--influence and neighbours: expected both, such as --set neighbours.sees=next")
+        apart({"--rule": chosen, "--influence": trust})
         task, file, inputs = log.found()
         separate_files({"--out": files.out}, inputs)
         seen = with_task(task, file, reading, setting)
         carry = not setting.theta_per_episode
-        compared = rules_compared(seen, seen.log.name, method, folds, carry=carry, beside=trust)
+        compared = rules_compared(seen, seen.log.name, method, folds, carry=carry, beside=trust, rules=chosen)
         show_comparison(compared, files)
     if not seen.complete:
         sys.exit(ExitCode.FAILED)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from ..declare.options import Given, setting_options
+from ..people.trust_rules import RULES
 from .options.common import OUTPUT_FILE, apart, figures_option, json_option, out_option, separate_files, together
 from .options.goals import goals_option
 from .options.help import command
@@ -129,6 +130,11 @@ def _require_one_model(
     apart({"--family": files.family, "--terms": what.terms})
     apart({"--goals": what.problems, "--figures": files.figures})
     apart({"--write-population": files.population, "neighbours": setting.neighbours})
+    if files.population and what.trust not in (None, *RULES):
+        raise click.UsageError(
+            f"--write-population and --influence {what.trust}: a population file has no rules of your own; expected "
+            "one of them"
+        )
     if files.population and setting.chooses:
         raise click.UsageError(
             "--write-population and chooses: a population file has no functions; expected one of them"

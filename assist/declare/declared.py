@@ -162,6 +162,11 @@ class DeclarationError(ValueError):
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.place, self.found, self.right, str(self))
 
+    def within(self, place: Place) -> DeclarationError:
+        """Return the fault as one of the object at a place."""
+        message = f"{spelt(place)}: {self}" if place else str(self)
+        return DeclarationError((*place, *self.place), self.found, self.right, message)
+
     @property
     def told(self) -> str:
         """The fault as it is told after the place in a file."""
@@ -185,9 +190,7 @@ class DeclarationError(ValueError):
         if fault["type"] == "value_error":
             inner = fault["ctx"]["error"]
             if isinstance(inner, DeclarationError):
-                where = (*place, *inner.place)
-                message = str(inner) if not place else f"{spelt(place)}: {inner}"
-                return cls(where, inner.found, inner.right, message)
+                return inner.within(place)
             return cls(place, None, str(inner), f"{spelt(place)}: {inner}" if place else str(inner))
         right = phrase(owner)
         if fault["type"] in MISSING and isinstance(fault["loc"][-1], str):
@@ -195,6 +198,20 @@ class DeclarationError(ValueError):
         found = _at(given, place, fault["input"])
         text = f"{found:g}" if isinstance(found, float) and "whole" not in right else repr(found)
         return cls(place, shown(found), right, f"{spelt(place)} {text}: expected {right}".lstrip())
+
+
+class UserCodeError(DeclarationError):
+    """A user's function, class or file does not exist, fails, or does not return what it should."""
+
+    def __init__(self, message: str, place: Place = ()) -> None:
+        super().__init__(place, None, message, f"{spelt(place)}: {message}" if place else message)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.right, self.place)
+
+    def within(self, place: Place) -> UserCodeError:
+        """Return the fault as one of the code at a place."""
+        return UserCodeError(self.right, (*place, *self.place))
 
 
 UNKNOWN = {"unexpected_keyword_argument", "extra_forbidden"}
@@ -458,14 +475,12 @@ def plain(value: Any) -> Any:
 
     An object of one of several classes begins with what `tag` says of it, such as `{"rule": "outcome"}`.
 
+    A user's own function or rule is a text, which says what it was.
+
     Parameters
     ----------
-    value : declared object, or mapping, sequence, text, number or None
-
-    Raises
-    ------
-    ValueError
-        A value is a user's own object, which is not saved.
+    value : object
+        A declared object, a mapping, a sequence, a text, a number or None; or a user's own.
     """
     if is_declared(type(value)):
         named = zip(names_of(type(value)), type(value).__pydantic_fields__, strict=True)
@@ -477,6 +492,7 @@ def plain(value: Any) -> Any:
         return [plain(one) for one in value]
     if value is None or isinstance(value, str | int | float):
         return value
-    if callable(value):  # a user's function has its name in records
-        return str(getattr(value, "__name__", value))
-    raise ValueError(f"{value!r} is not saved; expected one of those shipped")
+    name = getattr(value, "__name__", None)
+    if name is None and dataclasses.is_dataclass(value):
+        name = repr(value)
+    return str(name or type(value).__name__)

@@ -41,6 +41,7 @@ from .population import fit_population as fit_population
 from .replay import Recording as Recording
 from .replay import replay as replay
 from .rule_families import RuleFamily as RuleFamily
+from .rule_families import families as families
 from .trust_fit import Influence as Influence
 from .trust_fit import InfluenceFit as InfluenceFit
 from .trust_fit import fit_influence as fit_influence

@@ -17,6 +17,7 @@ from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.decision import Floats
 from ..people.terms import TERMS
+from ..people.trust_rules import TrustRule
 from .advice_fit import base_of, fit_model
 from .advice_log import AdviceLog
 from .advice_model import AdviceModel
@@ -29,7 +30,7 @@ from .likelihood_table import LikelihoodTable
 from .logit_likelihood import Likelihood
 from .neighbours_in_logs import seen_families
 from .observations import Observations
-from .rule_families import RuleFamily, families, parameters_of
+from .rule_families import RuleFamily, families, family_of, name_of, parameters_of
 from .rule_search import RuleSearch
 
 REFERENCE = "constant"
@@ -43,8 +44,8 @@ COMPARED: dict[str, Rule | None] = {
 Base rates are the shares of people who followed, at agreement and at disagreement; there is no rule.
 """
 
-Rules: TypeAlias = Mapping[str, Any]
-"""Rules by name: a `RuleFamily` each or, of advice, a `Rule` or None."""
+Rules: TypeAlias = Mapping[str, Any] | Iterable[Any]
+"""Rules, by name or as a list; see `compare_rules`."""
 
 
 @shows_progress
@@ -104,7 +105,7 @@ def compare_models(
 @shows_progress
 def compare_rules(
     people: Evidence | Sequence[Observations] | AdviceLog, method: Method | None = None, *,
-    rules: Rules | None = None, beside: str | None = None, reference: str | None = None, folds: int = FOLDS,
+    rules: Rules | None = None, beside: str | TrustRule | None = None, reference: str | None = None, folds: int = FOLDS,
     carry: bool = True, time_limit: float | None = None, progress: Wanted = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of trust rules by the log probability of the choices of held-out people.
@@ -117,12 +118,12 @@ def compare_rules(
         A log that was replayed, or observations, as for `fit_influence`; or judgements with advice.
     method : Method, optional
         As for `fit_influence`; of advice, only the level of the intervals is used.
-    rules : mapping of str to RuleFamily, or to Rule or None
-        The rules; the reference is among them. Those of `families` unless given. Of advice, those of `COMPARED`; None
-        stands for base rates.
-    beside : str, optional
-        Name of a rule of people's own: then rules by which theta also moves by what they see of neighbours are
-        compared, beside this one.
+    rules : mapping of str to rule, or sequence of rules, optional
+        The rules, each as for `fit_influence`, by their names or as a list; the reference is among them. All shipped
+        ones unless given. Of advice, a mapping as `COMPARED`, which it is unless given; None stands for base rates.
+    beside : str or TrustRule, optional
+        A rule of people's own: then rules by which theta also moves by what they see of neighbours are compared,
+        beside this one.
     reference : str, optional
         The rule with which the others are compared: "constant" unless given or, beside a rule, "none".
     folds : int
@@ -144,28 +145,42 @@ def compare_rules(
     assert callable(progress)
     method = method or Method()
     if beside is not None:
-        own = families(method)
-        if beside not in own or rules is not None:
-            raise ValueError(f"beside '{beside}': expected one of {', '.join(own)}, and no other rules")
-        rules, reference = seen_families(own[beside]), reference or "none"
+        if rules is not None:
+            raise ValueError(f"beside '{beside}': expected no other rules")
+        rules, reference = seen_families(family_of(beside, method)), reference or "none"
     reference = reference or REFERENCE
     if isinstance(people, AdviceLog):
         names, choices = tuple(people.people), people.counts
         folds_of(len(names), folds)
         fold, base, of_advice = fold_of(names, folds), base_of(people), COMPARED if rules is None else rules
+        if not isinstance(of_advice, Mapping):
+            raise TypeError(f"rules: a {type(rules).__name__}; expected a mapping of names to rules of advice")
         fits = {name: _of_base_rates(people) if rule is None else _of_advice(people, base, rule)
                 for name, rule in of_advice.items()}  # fmt: skip
     else:
         log = LikelihoodTable.of_advised(people, method, carry=carry)
         fold = folds_of(len(log.people), folds)
-        names, choices, of_family = log.people, log.counts, families(method) if rules is None else rules
-        fits = {name: _of_family(log, family, carry) for name, family in of_family.items()}
+        names, choices = log.people, log.counts
+        fits = {name: _of_family(log, family, carry) for name, family in _families(rules, method).items()}
     if reference not in fits:
-        raise ValueError(f"rules {', '.join(fits)}: expected '{reference}' among them")
+        raise ValueError(f"rules {', '.join(fits)}: expected '{reference}' among them, or another one as `reference`")
     return compared(
         fits, names, choices, reference, fold=fold, level=method.level, time_limit=time_limit,
         progress=adding(progress, "comparing trust rules", len(fits)),
     )  # fmt: skip
+
+
+def _families(rules: Rules | None, method: Method) -> dict[str, RuleFamily]:
+    """Return the families of some rules by their names; those of all shipped rules if none are given."""
+    if rules is None:
+        return families(method)
+    if not isinstance(rules, Mapping):
+        each = [rules] if isinstance(rules, str) else list(rules)
+        named = {name_of(rule): rule for rule in each}
+        if len(named) < len(each):
+            raise ValueError("rules: two have one name; expected a mapping of names to rules")
+        rules = named
+    return {name: family_of(rule, method) for name, rule in rules.items()}
 
 
 def _of_family(log: LikelihoodTable, family: RuleFamily, carry: bool) -> FitTo:

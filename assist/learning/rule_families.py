@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
+from ..people.given_rules import rule_to_fit
 from ..people.trust_rules import RULES, TrustRule, constant, fields_of, fitted_of
+from ..people.user_code import UserCodeError
 from .intervals import Interval
 from .likelihood import Method
 
@@ -70,6 +72,44 @@ def families(method: Method) -> dict[str, RuleFamily]:
             frozenset(one for one, mark in fitted.items() if mark.logarithm),
         )
     return found
+
+
+def name_of(rule: str | TrustRule | RuleFamily) -> str:
+    """Return the name of a rule: that of a shipped one, FILE.py:RULE, or the name of its class."""
+    if isinstance(rule, RuleFamily):
+        rule = _own(rule)
+    return rule if isinstance(rule, str) else str(getattr(rule, "__name__", type(rule).__name__))
+
+
+def _own(family: RuleFamily) -> TrustRule:
+    """Return the first rule of a family that is tried, without what moves theta beside it."""
+    first = family.rule(family.tried[0])
+    found: TrustRule = getattr(first, "own", first)
+    return found
+
+
+def family_of(rule: str | TrustRule | RuleFamily, method: Method) -> RuleFamily:
+    """Return the family of a rule: that of a shipped one by its name, or one without parameters to estimate.
+
+    Raises
+    ------
+    UserCodeError
+        It is a rule of the user's own that fails, or returns what is impossible.
+    ValueError
+        There is no such rule.
+    """
+    try:
+        if isinstance(rule, RuleFamily):
+            rule_to_fit(_own(rule))
+            return rule
+        given = rule_to_fit(rule)
+    except UserCodeError:
+        raise
+    except ValueError as error:
+        raise ValueError(f"trust {error}") from None
+    if given is None:
+        raise ValueError(f"trust None: expected one of {', '.join(RULES)}, or a rule")
+    return families(method)[given] if isinstance(given, str) else RuleFamily.of(given)
 
 
 def parameters_of(rule: TrustRule) -> dict[str, float]:

@@ -30,7 +30,7 @@ from .likelihood import Method
 from .likelihood_table import LikelihoodTable
 from .neighbours_in_logs import rule_beside
 from .observations import Observations
-from .rule_families import RuleFamily, families, parameters_of
+from .rule_families import RuleFamily, family_of, name_of, parameters_of
 from .rule_search import RuleSearch
 
 
@@ -101,7 +101,8 @@ class InfluenceFit(Result):
     margins: tuple[Margin, Margin]
 
     def __repr__(self) -> str:
-        values = ", ".join(f"{name} {value:.2f}" for name, value in self.parameters.items())
+        given = {name: "" if name in self.intervals else " (given)" for name in self.parameters}
+        values = ", ".join(f"{name} {value:.3g}{given[name]}" for name, value in self.parameters.items())
         return f"<trust rule {self.rule} of {len(self.people)} people: {values or 'no parameters'}>"
 
     def records(self) -> list[dict[str, Any]]:
@@ -144,7 +145,8 @@ def fit_influence(
     observations : Evidence, or sequence of Observations
         A log that was replayed; or one for each person.
     rule : str, TrustRule or RuleFamily
-        The name of a shipped rule, whose parameters are estimated; or a rule, taken unchanged; or a family of rules.
+        The name of a shipped rule, whose parameters are estimated; or a rule, or FILE.py:RULE, taken unchanged; or a
+        family of rules.
     method : Method, optional
         Level of the intervals, lapse, and what is known beforehand. With neighbours, theta also moves by the rule of
         this name, whose parameters are estimated, too.
@@ -155,15 +157,13 @@ def fit_influence(
     ------
     InputFileError
         Nothing was ever suggested.
+    UserCodeError
+        A rule of the user's own fails, or returns what is impossible.
     ValueError
         There is no rule of that name; or theta is to be carried, but each episode has one of several goals.
     """
     method = method or Method()
-    known = families(method)
-    if isinstance(rule, str) and rule not in known:
-        raise ValueError(f"trust '{rule}': expected one of {', '.join(known)}, or a rule")
-    own = known[rule] if isinstance(rule, str) else rule
-    family = rule_beside(own, method)
+    family = rule_beside(family_of(rule, method), method)
     log = LikelihoodTable.of_advised(observations, method, carry=carry)
     search = RuleSearch(log, family, carry)
     values, intervals = search.best(), {}
@@ -192,7 +192,6 @@ def fit_influence(
         for k, person in enumerate(log.people)
     ]  # fmt: skip
     weights, recorded = np.multiply.outer(*population.weights(log)), both.mean(axis=0)
-    name = rule if isinstance(rule, str) else type(rule).__name__
     margins = (
         Margin.of(
             "log-normal", (population.log_beta, population.log_beta_spread), np.exp(_edges(np.log(log.beta))),
@@ -204,10 +203,10 @@ def fit_influence(
         ),
     )  # fmt: skip
     chosen = family.rule(values)
-    name = type(getattr(chosen, "own", chosen)).__name__ if isinstance(rule, RuleFamily) else name
     return InfluenceFit(
-        name + family.beside, parameters_of(chosen), intervals, population, value, carry, tuple(people), chosen, margins
-    )
+        name_of(rule) + family.beside, parameters_of(chosen), intervals, population, value, carry, tuple(people),
+        chosen, margins,
+    )  # fmt: skip
 
 
 def _beliefs(log: LikelihoodTable, search: RuleSearch, points: Floats, shares: Floats) -> tuple[Floats, Floats]:

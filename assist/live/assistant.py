@@ -31,16 +31,16 @@ from planner import CostToGo
 
 from ..declare.declared import plain
 from ..people.goals import Goals, known_task
-from ..people.ranges import Population
+from ..people.ranges import Population, require_populations
 from ..person.policy import Policy
 from ..person.robots import Robot
-from ..person.settings import Setting
+from ..person.settings import Setting, require_setting
 from ..team.state import TeamPolicy
 from .advice import Advice
 from .desk import Desk, Task
 from .event_base import TeamEvent
 from .events import Began, Decided, Joined
-from .live_task import digest, population_of
+from .live_task import digest, population_of, setting_of
 from .record import TeamRecord
 from .reports import Reports
 
@@ -104,6 +104,7 @@ class Assistant(Reports, Desk):
     ) -> None:
         if isinstance(people, str):
             raise TypeError(f"people {people!r}: expected a list of names")
+        require_setting(setting)
         if robots is not None:
             setting = replace(setting or Setting(), robots=robots)  # type: ignore[arg-type]  # or their number
         names, self._given_distance = list(people), distance
@@ -215,6 +216,7 @@ class Assistant(Reports, Desk):
 
     def _prior_of(self, population: Population) -> str:
         """Return the name of a prior, which is a new one if the prior is."""
+        require_populations(population)
         every = self.populations
         name = next((name for name, other in every.items() if other == population), f"population {len(every) + 1}")
         every.setdefault(name, population)
@@ -241,7 +243,10 @@ class Assistant(Reports, Desk):
         )
 
     @classmethod
-    def from_json(cls, document: str, *tasks: CostToGo | Goals | Policy, policy: TeamPolicy | None = None) -> Assistant:
+    def from_json(
+        cls, document: str, *tasks: CostToGo | Goals | Policy, policy: TeamPolicy | None = None,
+        setting: Setting | None = None,
+    ) -> Assistant:  # fmt: skip
         """Return a saved team, with the same beliefs, bit for bit.
 
         Parameters
@@ -252,6 +257,8 @@ class Assistant(Reports, Desk):
             The tasks of the team, in any order; the first is the default for people who join.
         policy : callable, optional
             The team's policy, if it was a function.
+        setting : Setting, optional
+            The team's setting, if it has a trust rule of your own.
 
         Raises
         ------
@@ -265,7 +272,7 @@ class Assistant(Reports, Desk):
             if policy is None and saved["policy"] is None:
                 raise ValueError("the policy was a function; expected it as `policy`")
             team = cls(
-                policy=policy or saved["policy"], setting=Setting(**{"trust": "paper"} | saved["setting"]),
+                policy=policy or saved["policy"], setting=setting_of(saved["setting"], setting),
                 population=population_of(saved["population"]), distance=saved["distance"],
             )  # fmt: skip
             found = {digest(task): task for task in tasks}

@@ -19,9 +19,10 @@ from ..declare.declared import AnyTable, AnyText, Number, View, declared, plain
 from ..people.belief import Grid
 from ..people.choice_model import chances
 from ..people.decision import perceived_cost
+from ..people.given_rules import digest as digest_of_rule
 from ..people.goals import Goals, first_of
 from ..people.ranges import Population
-from ..person.settings import Setting
+from ..person.settings import Setting, own_rules
 from ..person.truncated_task import TruncatedTask
 from .desk import Desk
 from .live_task import digest
@@ -56,6 +57,9 @@ class TeamHeader(Header):
         dict[str, AnyText] | None,
         Field(description="If people choose by a function, a hash of its probabilities in each task."),
     ]
+    moves: Annotated[
+        dict[str, AnyText] | None, Field(description="A hash of where each trust rule of the user's own leads theta.")
+    ] = None
 
 
 def header_of(desk: Desk, tasks: Mapping[str, CostToGo | Goals], distance: ArrayLike | None) -> TeamHeader:
@@ -67,6 +71,7 @@ def header_of(desk: Desk, tasks: Mapping[str, CostToGo | Goals], distance: Array
         setting=plain(Setting.of(desk.setting)), population=plain(people),
         distance=None if distance is None else np.asarray(distance, dtype=float).tolist(),
         chances=None if people.chooses is None else {name: _chances(task, people) for name, task in tasks.items()},
+        moves={name: digest_of_rule(rule) for name, rule in own_rules(desk.setting).items()} or None,
     )  # fmt: skip
 
 

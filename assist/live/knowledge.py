@@ -19,7 +19,7 @@ from planner import CostToGo
 from ..declare.refusals import InapplicableError
 from ..people.decision import NOTHING
 from ..people.goals import Goals
-from ..people.ranges import Population
+from ..people.ranges import Population, require_populations
 from ..people.real_people import advice_takers
 from ..person.policy import Policy
 from ..person.settings import Setting
@@ -95,7 +95,8 @@ class Knowledge:
         distance: ArrayLike | None = None,
         people: int = 0,
     ) -> None:
-        self.setting = LiveSetting.of(setting or LiveSetting()).for_real_people()
+        require_populations(population)
+        self.setting = LiveSetting.of(LiveSetting() if setting is None else setting).for_real_people()
         self.population = population or advice_takers()
         if self.setting.fleet.executes:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")

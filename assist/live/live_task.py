@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 
+from ..declare.declared import plain
 from ..declare.refusals import InapplicableError, Refusal
 from ..drawing.picture import Artist
 from ..people.action_names import Matcher, Words, words_of
@@ -25,10 +26,11 @@ from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.goals import Goals, first_of, require_one_goal, text_of_goals
 from ..people.ranges import Population
+from ..people.trust_rules import RULES
 from ..person.assumptions import Assumptions
 from ..person.person_problem import policy_on
 from ..person.policy import Policy
-from ..person.settings import Setting
+from ..person.settings import Setting, require_setting
 
 
 class LiveTask:
@@ -212,3 +214,22 @@ def population_of(saved: dict[str, Any]) -> Population:
     if "chooses" in saved:
         raise ValueError(f"people choose by {saved['chooses']}, a function that is not saved; expected ranges, weights")
     return Population(**saved)
+
+
+def setting_of(saved: dict[str, Any], given: Setting | None) -> Setting:
+    """Return the setting that `declare.plain` described, or the given one if it is the same.
+
+    Raises
+    ------
+    ValueError
+        It is another one; or none is given, and the saved one has a rule of the user's own, whose name alone was saved.
+    """
+    if given is None:
+        for name in ("trust", "believed_trust"):
+            if isinstance(rule := saved.get(name), str) and rule not in RULES:
+                raise ValueError(f"{name} was {rule}, a rule of your own; expected the team's setting as `setting`")
+        return Setting(**{"trust": "paper"} | saved)
+    require_setting(given)
+    if plain(Setting.of(given.for_real_people())) != saved:
+        raise ValueError("setting: it is another than that of the saved team; expected the same")
+    return given

@@ -17,6 +17,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
@@ -161,15 +162,19 @@ class PeopleStore:
             db.execute("VACUUM")
 
 
-def model_of(population: Mapping[str, Any], setting: Mapping[str, Any], chances: Any = None) -> str:
+def model_of(
+    population: Mapping[str, Any], setting: Mapping[str, Any], own: Mapping[str, Any] = MappingProxyType({})
+) -> str:
     """Return a text that is the same for beliefs that mean the same.
 
     Parameters
     ----------
     population, setting : mapping
         As `as_dict` returns them. The population determines the grid.
-    chances : mapping of str to str, optional
-        Hashes of the choice probabilities of a user's own choice model.
+    own : mapping, optional
+        Hashes of the user's own code, as a header has them: `chances` of a choice model, `moves` of trust rules.
     """
     rule = [setting.get(name) for name in ("trust", "believed_trust", "eta", "utility_scale", "lapse")]
-    return hashlib.sha256(json.dumps([population, rule, chances], default=str).encode()).hexdigest()[:32]
+    return hashlib.sha256(
+        json.dumps([population, rule, own.get("chances"), own.get("moves")], default=str).encode()
+    ).hexdigest()[:32]

@@ -118,7 +118,7 @@ class Session(Reports):
     def _open(self) -> None:
         """Restore the state, or begin a new session."""
         expected = self._header().as_dict()
-        self._meaning = model_of(expected.get("population", {}), expected.get("setting", {}), expected.get("chances"))
+        self._meaning = model_of(expected.get("population", {}), expected.get("setting", {}), expected)
         with self._store.transaction():
             found = self._store.header()
             if found is None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, Field, PlainValidator
 from pydantic_core import PydanticCustomError
 
+from planner.system.errors import require_kind
+
 from ..declare.declared import MOST, Beside, Expected, Number, declared, default_of
 from ..declare.declared import Range as Span
 from .user_code import UserChoiceModel, function_beside, parse
@@ -181,6 +183,12 @@ class Population:
             for name, (low, high) in part.weights.items():
                 mean[name] += share / (sum(self.shares) or 1.0) * (low + high) / 2
         return Weighted(mean)
+
+
+def require_populations(*given: Any) -> None:
+    """Raise a `TypeError` if something else than a population, or None, was given."""
+    for one in given:
+        require_kind(one, Population, "Population(beta=(0.5, 2.0))")
 
 
 RANGES = ("beta", "theta", "sigma")

@@ -366,39 +366,8 @@ def rule_of(given: Mapping[str, Any]) -> TrustRule:
     return found
 
 
-def rule_given(rule: Any) -> str | TrustRule | None:
-    """Return a trust rule, its name or None; a table becomes its rule.
-
-    Raises
-    ------
-    ValueError
-        It is none of these.
-    """
-    if rule is None:
-        return None
-    if isinstance(rule, Mapping):
-        return rule_of(rule)
-    if isinstance(rule, str):
-        if rule not in RULES:
-            raise ValueError(f"'{rule}'; {expected(rule, RULES, ', or a rule')}")
-        return rule
-    for name in ("uses_answer", "feedback", "update"):
-        if not hasattr(rule, name):
-            raise ValueError(f"{rule!r}; expected a name, or an object with uses_answer, feedback and update")
-    found: TrustRule = rule
-    return found
-
-
 def trust_rule(rule: str | TrustRule | None, eta: float, utility_scale: float) -> TrustRule:
-    """Return the rule of a name; the paper's (also for None) with the given rate and unit, others with default steps.
-
-    Raises
-    ------
-    ValueError
-        There is no rule of that name, or the object is none.
-    """
-    found = rule_given("paper" if rule is None else rule)
-    if not isinstance(found, str):
-        assert found is not None
-        return found
-    return EquationSeven(eta, utility_scale) if found == "paper" else RULES[found]()
+    """Return a rule; by its name the paper's, also for None, with this rate and unit, others with default steps."""
+    if not isinstance(rule, str | None):
+        return rule
+    return EquationSeven(eta, utility_scale) if rule in (None, "paper") else RULES[rule]()

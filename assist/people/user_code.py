@@ -1,6 +1,6 @@
-"""Functions of the user in a Python file, written `FILE.py:FUNCTION`.
+"""Functions and trust rules of the user in a Python file, written `FILE.py:NAME`.
 
-An error in such a function is reported in one line, with its file and line.
+An error in them is reported in one line, with its file and line.
 """
 
 from __future__ import annotations
@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
+
+from ..declare.declared import UserCodeError as UserCodeError
 
 if TYPE_CHECKING:
     from .choices import Choices
-    from .decision import Floats
-
-
-class UserCodeError(ValueError):
-    """A user's function, class or file does not exist, fails, or does not return what it should."""
+    from .decision import Bools, Floats, Ints
 
 
 def parse(text: str, folder: Path | None = None) -> tuple[Path, str] | None:
@@ -36,8 +34,8 @@ def function_beside(folder: Path, text: str) -> str:
     return text if place is None else f"{place[0]}:{place[1]}"
 
 
-def load(file: Path, name: str) -> Callable[..., Any]:
-    """Load a function from a Python file. A class without arguments stands for its object.
+def load(file: Path, name: str) -> Any:
+    """Load a function or a trust rule from a Python file. A class without arguments stands for its object.
 
     Raises
     ------
@@ -61,8 +59,10 @@ def load(file: Path, name: str) -> Callable[..., Any]:
     function = getattr(module, name, None)
     if isinstance(function, type):
         function = object_of(function, f"{file}:{name}")
-    if not callable(function):
+    if function is None:
         raise UserCodeError(f"{file}: has no function '{name}'")
+    if not callable(function) and not hasattr(function, "update"):
+        raise UserCodeError(f"{file}:{name}: expected a function, or a trust rule with a method `update`")
     return function
 
 
@@ -93,22 +93,22 @@ def described(error: Exception | SystemExit, file: Path) -> str:
 
 
 @dataclass(frozen=True)
-class UserChoiceModel:
-    """A user's choice model: a `ChoiceModel` that is loaded in every process that needs it.
+class UserObject:
+    """What is in a user's file, loaded in every process that needs it.
 
     Attributes
     ----------
     file : Path
     name : str
-        Name of the function in that file.
+        Name of the function or rule in that file.
     """
 
     file: Path
     name: str
 
     @classmethod
-    def load(cls, file: Path, name: str) -> UserChoiceModel:
-        """Return the model of a function, which is loaded now, so that an error of the file is reported here.
+    def load(cls, file: Path, name: str) -> Self:
+        """Return an object that is loaded now, so that an error of the file is reported here.
 
         Raises
         ------
@@ -117,20 +117,6 @@ class UserChoiceModel:
         """
         _loaded(file, name)
         return cls(file, name)
-
-    def __call__(self, choices: Choices, q: Floats, beta: Floats, /) -> Floats:
-        """Return the function's choice probabilities.
-
-        Raises
-        ------
-        UserCodeError
-            The function failed; the message has file and line.
-        """
-        function = _loaded(self.file, self.name)
-        try:
-            return function(choices, q, beta)
-        except (Exception, SystemExit) as error:
-            raise UserCodeError(described(error, self.file)) from error
 
     def __str__(self) -> str:
         return f"{self.file}:{self.name}"
@@ -141,9 +127,67 @@ class UserChoiceModel:
         return str(self)
 
     @property
+    def loaded(self) -> Any:
+        """What the file has under this name."""
+        return _loaded(self.file, self.name)
+
+    def result(self, function: Callable[..., Any], *given: Any) -> Any:
+        """Return what the user's code returns.
+
+        Raises
+        ------
+        UserCodeError
+            It failed; the message has file and line.
+        """
+        try:
+            return function(*given)
+        except (Exception, SystemExit) as error:
+            raise UserCodeError(described(error, self.file)) from error
+
+
+class UserChoiceModel(UserObject):
+    """A user's choice model: a `ChoiceModel`."""
+
+    def __call__(self, choices: Choices, q: Floats, beta: Floats, /) -> Floats:
+        """Return the function's choice probabilities."""
+        found: Floats = self.result(self.loaded, choices, q, beta)
+        return found
+
+    @property
     def value(self) -> Any:
         """The function's attribute `value`, by which trust changes; an AttributeError if it has none."""
-        return _loaded(self.file, self.name).value  # type: ignore[attr-defined]
+        return self.loaded.value
+
+
+class UserTrustRule(UserObject):
+    """A user's trust rule: a `TrustRule`."""
+
+    @property
+    def uses_answer(self) -> bool:
+        """That of the rule; an AttributeError if it has none, and so for `feedback`."""
+        found: bool = self.loaded.uses_answer
+        return found
+
+    @property
+    def feedback(self) -> Any:
+        """That of the rule."""
+        return self.loaded.feedback
+
+    @property
+    def counts(self) -> int:
+        """The number of outcomes that the rule counts; 0 if it counts none."""
+        return int(getattr(self.loaded, "counts", 0))
+
+    @property
+    def counted(self) -> Callable[[Ints, Any], Ints]:
+        """How the rule counts; an AttributeError if it says nothing of that."""
+        method = self.loaded.counted
+        return lambda count, event: self.result(method, count, event)
+
+    def update(self, theta: Floats, event: Any, *count: Floats | Bools | int) -> Floats:
+        """Return theta after the event; `count` is given where the rule counts."""
+        found: Floats = self.result(self.loaded.update, theta, event, *count)
+        return found
 
 
 _loaded = cache(load)

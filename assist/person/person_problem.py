@@ -20,7 +20,7 @@ from ..people.human import Human
 from ..people.memory import choices_of
 from ..people.memory_on_demand import memory_of, on_demand
 from ..people.misconception import Misconception
-from ..people.ranges import Population
+from ..people.ranges import Population, require_populations
 from .assumptions import Assumptions
 from .closed_problem import closed_problem
 from .lazy_policy import LazyPolicy
@@ -28,7 +28,7 @@ from .memory_needed import depth_within, first_bounds_bytes
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .qmdp import qmdp
-from .settings import Setting
+from .settings import Setting, require_setting
 from .shared_task import SharedTask
 from .truncated_policy import TruncatedPolicy
 from .truncated_task import TruncatedTask
@@ -177,6 +177,8 @@ class PersonProblem:
         ValueError
             A parameter is out of its range, or several goals are combined with terms.
         """
+        require_setting(setting)
+        require_populations(population)
         setting, states = setting or Setting(), None if states is None else whole("states", states, 1)
         known = known_task(known)
         people, human = population or Population(), None

@@ -27,7 +27,7 @@ from ..people.choice_model import ChoiceModel, chances
 from ..people.decision import NOTHING, Bools, Floats, Ints
 from ..people.hidden_type import HiddenType
 from ..people.human import HumanModel
-from ..people.ranges import Population
+from ..people.ranges import Population, require_populations
 from ..people.trust_rules import EquationSeven, counts_of
 from .behaviour import PAPER, Behaviour
 from .leaf_bounds import LeafBounds
@@ -140,6 +140,7 @@ class AssistPOMDP:
             A number is out of its range, or a robot that executes meets several goals or people who have a memory.
         """
         check_costs(gamma)
+        require_populations(population)
         one_of("suggestions", suggestions, get_args(Suggestions))
         if robot.execute:
             model.choices.require_one_goal("execute")

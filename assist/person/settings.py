@@ -8,9 +8,25 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
-from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of, names_of, whole_number
+from planner.system.errors import require_kind
+
+from ..declare.declared import (
+    MOST,
+    Beside,
+    Expected,
+    Number,
+    Usual,
+    Whole,
+    declared,
+    default_of,
+    is_declared,
+    names_of,
+    whole_number,
+)
+from ..people.given_rules import rule_given
 from ..people.neighbours import Watched, WithSeen, moves_theta, seen_rule_of
-from ..people.trust_rules import RULES, TrustRule, rule_given, trust_rule
+from ..people.trust_rules import RULES, TrustRule, trust_rule
+from ..people.user_code import function_beside
 from .observation_model import ObservationModel
 from .robots import OfRobots, Robot, Suggestions
 
@@ -36,7 +52,23 @@ def _observed(given: ObservationModel | None) -> ObservationModel | None:
     return None if given is None or given.is_perfect else given
 
 
-Rule = Annotated[str | TrustRule | None, PlainValidator(rule_given)]
+def require_setting(given: Any) -> None:
+    """Raise a `TypeError` if something else than a setting, or None, was given."""
+    require_kind(given, Setting, "Setting(c_suggest=0.5)")
+
+
+def own_rules(setting: Setting) -> dict[str, TrustRule]:
+    """Return the trust rules of a setting that are the user's own, by their fields."""
+    rules = {"trust": setting.trust, "believed_trust": setting.believed_trust}
+    return {n: rule for n, rule in rules.items() if not isinstance(rule, str | None) and not is_declared(type(rule))}
+
+
+Rule = Annotated[
+    str | TrustRule | None,
+    PlainValidator(rule_given),
+    Beside(function_beside),
+    Expected('the name of a trust rule, your own FILE.py:RULE, or a table such as {rule = "outcome", gain = 0.1}'),
+]
 
 
 @declared
@@ -69,15 +101,13 @@ class Setting(OfRobots):
     trust: Annotated[
         Rule,
         Usual("RULE"),
-        Expected('the name of a trust rule, or a table such as {rule = "outcome", gain = 0.1}'),
         Field(
-            description=f"How influence (theta) moves: a table, or one of the names {', '.join(RULES)}; unless given, "
-            "paper (equation 7) for simulated people, constant for real ones."
+            description=f"How influence (theta) moves: one of the names {', '.join(RULES)}, a table, or your own "
+            "FILE.py:RULE; unless given, paper (equation 7) for simulated people, constant for real ones."
         ),
     ] = None
     believed_trust: Annotated[
         Rule,
-        Expected('the name of a trust rule, or a table such as {rule = "outcome", gain = 0.1}'),
         Field(description="How the robot believes that theta moves; the rule of `trust` unless given."),
     ] = None
     robots: Annotated[
@@ -122,6 +152,7 @@ class Setting(OfRobots):
     @classmethod
     def of(cls, other: Setting) -> Self:
         """Return the setting of this class with all fields that another one has, too."""
+        require_setting(other)
         return cls(**{name: getattr(other, name) for name in names_of(cls) if hasattr(other, name)})
 
     @cached_property

@@ -18,7 +18,7 @@ from ..people.arguments import one_of
 from ..people.terms import Situation
 from ..people.user_code import UserCodeError, described, object_of, parse
 from ..people.user_code import load as load_function
-from .own_code_trials import TRIALS
+from .own_code_trials import TRIALS, Place
 
 Kind = Literal["policy", "people", "trust", "term"]
 
@@ -97,18 +97,18 @@ def check(code: Any, kind: Kind | None = None, *, progress: Wanted = None) -> Ch
     ValueError
         There is no such kind.
     """
-    name, file, code = _loaded(code)
+    name, place, code = _loaded(code)
     if kind is not None:
         one_of("kind", kind, get_args(Kind))
     kind = kind or kind_of(code)
     assert callable(progress)
-    found, trials = list[Trial](), list(TRIALS[kind](code, file))
+    found, trials = list[Trial](), list(TRIALS[kind](code, place))
     advance = adding(progress, "trying situations", len(trials))
     for what, run in trials:
         try:
             fault = run()
         except (Exception, SystemExit) as error:  # noqa: BLE001 it is the user's, and is told
-            fault = _told(error, file)
+            fault = _told(error, place and place[0])
         found.append(Trial(what, fault))
         advance(1)
     return Checked(name, kind, tuple(found))
@@ -129,20 +129,19 @@ def kind_of(code: Any) -> Kind:
     return "term" if first.rpartition(".")[2].rstrip("'>") == Situation.__name__ else "policy"
 
 
-def _loaded(code: Any) -> tuple[str, Path | None, Any]:
-    """Return the name of some code, its file if it was given as FILE.py:NAME, and the object."""
-    name, file = str(getattr(code, "__name__", type(code).__name__)), None
+def _loaded(code: Any) -> tuple[str, Place, Any]:
+    """Return the name of some code, its file and its name there if it was given as FILE.py:NAME, and the object."""
+    name, place = str(getattr(code, "__name__", type(code).__name__)), None
     if isinstance(code, str):
         place = parse(code)
         if place is None:
             raise UserCodeError(f"{code!r}; expected FILE.py:NAME, a function or a trust rule")
-        (file, called), name = place, code
-        code = load_function(file, called)
+        name, code = code, load_function(*place)
     if isinstance(code, type):
         code = object_of(code, name)
     if not callable(code) and not hasattr(code, "update"):
         raise UserCodeError(f"{name}: expected a function, or a trust rule with a method `update`")
-    return name, file, code
+    return name, place, code
 
 
 def _told(error: BaseException, file: Path | None) -> str:

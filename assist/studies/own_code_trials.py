@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -19,12 +19,13 @@ from planner import Table, cost_to_go, instance, load, sweep_goals
 from ..people.choice_model import chances
 from ..people.choices import Choices
 from ..people.decision import Floats, perceived_cost
+from ..people.given_rules import fault_of_attributes, fault_of_updates, possible
 from ..people.goals import Goals
 from ..people.memory import remembered
 from ..people.ranges import Population
 from ..people.terms import Situation
-from ..people.trust_rules import Event, Feedback, TrustRule
-from ..people.user_code import UserChoiceModel
+from ..people.trust_rules import TrustRule
+from ..people.user_code import UserChoiceModel, UserCodeError, UserTrustRule
 from ..person.observation_model import ObservationModel
 from ..person.robots import Robot
 from ..person.settings import Setting
@@ -54,6 +55,9 @@ MORE = 40
 """Episodes of the trial in which other teams must not matter: while some teams finish, others are at work for long."""
 
 Trials = Iterator[tuple[str, Callable[[], str | None]]]
+
+Place = tuple[Path, str] | None
+"""File and name of code that is in a file."""
 
 
 def _table(name: str) -> Table:
@@ -104,10 +108,10 @@ def _situations(
         yield "people with habits", partial(pool, population=Population(weights={"back": (-1.0, 0.0)})), 3
 
 
-def of_policy(code: TeamPolicy, file: Path | None) -> Trials:
+def of_policy(code: TeamPolicy, place: Place) -> Trials:
     """Yield the trials of a team policy."""
     # What it remembers has a trial of its own.
-    policy = code if file is None else UserPolicy(file, str(getattr(code, "__name__", "policy")), code, {1, 3})
+    policy = code if place is None else UserPolicy(*place, code, {1, 3})
 
     def run(pool: Callable[[], Pool], humans: int) -> None:
         simulate(pool(), policy, humans=humans, episodes=MANY, seed=0, progress=False)
@@ -124,9 +128,9 @@ def of_policy(code: TeamPolicy, file: Path | None) -> Trials:
     yield "each team by itself", alone
 
 
-def of_people(code: Callable[..., Floats], file: Path | None) -> Trials:
+def of_people(code: Callable[..., Floats], place: Place) -> Trials:
     """Yield the trials of a choice model."""
-    model = code if file is None else UserChoiceModel(file, str(getattr(code, "__name__", "people")))
+    model = code if place is None else UserChoiceModel(*place)
     beta = np.array([0.0, 0.5, 3.0, 50.0])
 
     def direct(task: str) -> str | None:
@@ -153,10 +157,17 @@ def of_people(code: Callable[..., Floats], file: Path | None) -> Trials:
         yield what, partial(run, pool, humans)
 
 
-def of_trust(rule: TrustRule, _: Path | None) -> Trials:
+def of_trust(code: TrustRule, place: Place) -> Trials:
     """Yield the trials of a trust rule."""
-    yield "its attributes", partial(_attributes, rule)
-    yield "events of all kinds", partial(_events, rule)
+    rule = code if place is None else UserTrustRule(*place)
+    yield "its attributes", partial(fault_of_attributes, rule)
+    if fault_of_attributes(rule) is not None:
+        return
+    yield "events of all kinds", partial(fault_of_updates, rule)
+    try:
+        possible(rule)
+    except UserCodeError:
+        return  # it says what the events said
 
     def run(setting: dict[str, Any], policy: str) -> None:
         drawn = Pool.sample(_table(TINY), 4, seed=0, setting=Setting(**setting), progress=False)
@@ -167,50 +178,7 @@ def of_trust(rule: TrustRule, _: Path | None) -> Trials:
     yield "any applicable action as a suggestion", partial(run, {"trust": rule, "suggestions": "all"}, "attention")
 
 
-def _attributes(rule: TrustRule) -> str | None:
-    if not isinstance(getattr(rule, "uses_answer", None), bool):
-        return "has no attribute `uses_answer`; expected True if `followed` or `shown` matter, and False otherwise"
-    if getattr(rule, "feedback", None) not in get_args(Feedback):
-        return f"feedback {getattr(rule, 'feedback', None)!r}; expected one of {', '.join(get_args(Feedback))}"
-    try:
-        hash(rule)
-    except TypeError:
-        return "cannot be hashed; expected a frozen object, such as @dataclass(frozen=True)"
-    return None
-
-
-def _events(rule: TrustRule) -> str | None:
-    theta = np.linspace(0.0, 1.0, 11)[:, None]
-    bits = np.array([[bool(number >> bit & 1) for number in range(16)] for bit in range(4)])
-    agrees, followed, shown, right = (row[None, :] for row in bits)
-    for gain in (-2.0, 0.0, 1.0):
-        event = Event(np.full((1, 16), gain), agrees, followed, shown, right)
-        before = theta.copy()
-        to = np.asarray(rule.update(theta, event), dtype=float)
-        if not np.array_equal(theta, before):
-            return "changes the array theta; expected a new array"
-        to = np.broadcast_to(to, (11, 16)) if to.ndim <= 2 else to
-        if to.shape != (11, 16):
-            return f"returns shape {to.shape} for 11 thetas and 16 events; expected (11, 16), by broadcasting"
-        if not ((to >= 0) & (to <= 1)).all():
-            return f"leads to theta {to[~((to >= 0) & (to <= 1))][0]:g}; expected a number from 0 to 1"
-        if not rule.uses_answer:
-            same = to[:, _same_answers(agrees[0], right[0])]
-            if (same != same[:, :, :1]).any():
-                return "depends on `followed` or `shown` though its `uses_answer` is False"
-        for place in ((2, 5), (7, 12)):
-            one = Event(np.array(gain), *(np.array(row[0, place[1]]) for row in (agrees, followed, shown, right)))
-            if not np.isclose(float(rule.update(np.array(theta[place[0], 0]), one)), to[place], 0, 1e-12):
-                return "gives another theta for one event alone than among others; expected each by itself"
-    return None
-
-
-def _same_answers(agrees: Any, right: Any) -> Any:
-    """Return the events, shape (4, 4), that differ by the answer only, for each agreement and outcome."""
-    return np.array([np.flatnonzero((agrees == a) & (right == r)) for a in (False, True) for r in (False, True)])
-
-
-def of_term(term: Callable[[Situation], Floats], _: Path | None) -> Trials:
+def of_term(term: Callable[[Situation], Floats], _: Place) -> Trials:
     """Yield the trials of a term of choices."""
     for name, what in ((TINY, "a small task"), (DEAD_ENDS, "dead ends")):
         yield what, partial(_values, term, name)
@@ -232,7 +200,7 @@ def _values(term: Callable[[Situation], Floats], task: str) -> str | None:
     return None
 
 
-TRIALS: dict[str, Callable[[Any, Path | None], Trials]] = {
+TRIALS: dict[str, Callable[[Any, Place], Trials]] = {
     "policy": of_policy, "people": of_people, "trust": of_trust, "term": of_term,
 }  # fmt: skip
 """The trials of each kind of code."""

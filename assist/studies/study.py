@@ -39,8 +39,8 @@ from ..declare.declared import (
     plain,
 )  # fmt: skip
 from ..people.ranges import Population
-from ..people.user_code import UserChoiceModel
-from ..person.settings import Setting
+from ..people.user_code import UserObject
+from ..person.settings import Setting, own_rules
 from ..team.policy_names import BASELINES
 
 SCHEMA = 1
@@ -291,11 +291,13 @@ class Study(StudyPlan):
             plain[name] = [label for label, _ in getattr(self, name)]
         digest.update(json.dumps(plain, sort_keys=True).encode())
         named = [path for _, files in self.instances for path in (files.domain, files.problem)]
+        settings = (setting for condition in self.conditions for _, setting in condition.settings)
         models = (people.chooses for _, people in self.populations)
-        own = [
-            *(path for _, (path, _) in self.own_policies),
-            *(m.file for m in models if isinstance(m, UserChoiceModel)),
-        ]
+        named_in: tuple[object, ...] = (
+            *models,
+            *(rule for setting in settings for rule in own_rules(setting).values()),
+        )
+        own = [*(path for _, (path, _) in self.own_policies), *(m.file for m in named_in if isinstance(m, UserObject))]
         for path in (*named, *own):
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         for _, (_, function) in self.own_policies:

@@ -21,11 +21,11 @@ from ..people.choices import Choices
 from ..people.goals import Goals, known_task
 from ..people.hidden_type import HiddenType
 from ..people.human import Human
-from ..people.ranges import Population
+from ..people.ranges import Population, require_populations
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
-from ..person.settings import Setting
+from ..person.settings import Setting, require_setting
 from ..person.travel import Travel
 from .drawn import Drawn, Estimated
 from .matching import require_matching
@@ -180,6 +180,7 @@ class Pool(Result):
         LimitError
             The policies would exceed the memory limit, or the time is up.
         """
+        require_populations(population, prior)
         population = population or Population()
         them = Drawn.of_population(population, size, seed)
         return cls._at(table, them, setting, prior=prior or population, progress=progress, **solving)
@@ -216,6 +217,8 @@ class Pool(Result):
         ValueError, LimitError
             As in `sample`; or two people have one name.
         """
+        require_setting(setting)
+        require_populations(prior)
         if isinstance(people, Estimated):
             people, population, setting = people.simulated(setting or Setting())
             prior = prior or population
@@ -231,9 +234,8 @@ class Pool(Result):
         """Return people at a task."""
         assert callable(progress)
         table = table if isinstance(table, Choices) else known_task(table)
+        require_setting(setting)
         setting = setting or Setting()
-        if not isinstance(setting, Setting):
-            raise TypeError(f"a {type(setting).__name__} where a Setting was expected, such as Setting(c_suggest=0.5)")
         people, policies = solved_on_demand(table, them, setting, prior, progress, **solving)
         number = np.arange(them.size) if len(policies) > 1 else np.zeros(them.size, dtype=np.int64)
         solving.pop("time_limit", None)

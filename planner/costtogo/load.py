@@ -15,7 +15,7 @@ from ..pddl import built_problems, instance_finder, instances
 from ..pddl.compilation import MOST_VALUES
 from ..pddl.reader import read
 from ..system.files import atomic
-from ..system.limits import NO_LIMITS, Limits
+from ..system.limits import NO_LIMITS, Limits, require_limits
 from .number_values import grounded
 
 if TYPE_CHECKING:
@@ -84,6 +84,7 @@ def load(
     TypeError
         It is no problem.
     """
+    require_limits(limits)
     if isinstance(problem, Task):
         return problem
     if isinstance(problem, str | Path):

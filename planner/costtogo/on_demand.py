@@ -41,7 +41,7 @@ from ..search.state_space import UNREACHED, Transitions, joined, state_numbers
 from ..search.successor_generator import Expanded, expanded, packed_operators
 from ..system.arrays import Ints, Words
 from ..system.errors import UnsuitedError
-from ..system.limits import NO_LIMITS, LimitError, Limits, processors
+from ..system.limits import NO_LIMITS, LimitError, Limits, processors, require_limits
 from ..system.threads import on_threads
 from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
 from .cost_to_go import Plan, State, optimal_plan
@@ -150,6 +150,7 @@ class OnDemand:
         reason: str | None = None,
         orbits: OrbitTable | None = None,
     ) -> None:
+        require_limits(limits)
         self.task = task = task_of(task)
         self.orbits = orbits
         self._priced, self._unit = priced(task)

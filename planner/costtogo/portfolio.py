@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Task
-from ..system.limits import MAX_STATES, NO_LIMITS, LimitError, Limits, MemoryLimitError
+from ..system.limits import MAX_STATES, NO_LIMITS, LimitError, Limits, MemoryLimitError, require_limits
 from ..system.progress import Progress, Wanted, shows_progress
 from .cost_to_go import CostToGo
 from .load import task_of
@@ -100,6 +100,7 @@ def cost_to_go(
         It is no task.
     """
     assert callable(progress)
+    require_limits(limits)
     task = task_of(task)
     limited: dict[str, Any] = {"max_states": max_states, "memory_limit_mb": memory_limit_mb, "deadline": deadline}
     swept = partial(_swept, task, threads=jobs, reserved_bytes=reserved_bytes, **limited)

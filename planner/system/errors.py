@@ -6,6 +6,7 @@ import difflib
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 
 def expected(name: str, known: Iterable[str], more: str = "") -> str:
@@ -19,6 +20,18 @@ def expected(name: str, known: Iterable[str], more: str = "") -> str:
     if near:
         return f"did you mean '{lower[near[0]]}'?"
     return f"expected one of {', '.join(words)}{more}"
+
+
+def require_kind(value: Any, kind: type, example: str) -> None:
+    """Check that a value, unless it is None, is an object of a class.
+
+    Raises
+    ------
+    TypeError
+        It is something else, such as a dictionary; the message has the example.
+    """
+    if value is not None and not isinstance(value, kind):
+        raise TypeError(f"a {type(value).__name__} where a {kind.__name__} was expected, such as {example}")
 
 
 class MissingExtraError(ImportError):

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Protocol
+from typing import Any, Protocol
 
 ROOT = Path("/")
 """Folder below which the system's files are read."""
@@ -312,6 +312,12 @@ class Limits:
     def ended_by(self, over: StopSignal) -> Limits:
         """Return the limits of a call that also ends when `over` is set."""
         return replace(self, stop=over if self.stop is None else _AnyOf((self.stop, over)))
+
+
+def require_limits(given: Any) -> None:
+    """Raise a `TypeError` if something else than `Limits` was given, such as a number."""
+    if not isinstance(given, Limits):
+        raise TypeError(f"a {type(given).__name__} where Limits were expected, such as Limits(seconds=60)")
 
 
 @dataclass(frozen=True)

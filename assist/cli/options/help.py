@@ -19,7 +19,7 @@ GROUPS = {
     ),
     "Log": ("--log", "--columns", "--drop", "--rename", "--strict", "--advice", "--rows"),
     "People": ("--humans", "--pool", "--population", "--simulate"),
-    "Estimates": ("--misconception", "--terms", "--influence", "--folds", "--family"),
+    "Estimates": ("--misconception", "--terms", "--influence", "--rule", "--folds", "--family"),
     "Robot": ("--policy",),
     "Setting": ("--setting", "--set"),
     "Service": (

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -33,17 +34,21 @@ def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
 
 
 def rules_compared(
-    people: Evidence | AdviceLog, name: str, method: Method, folds: int, *, carry: bool, beside: str | None = None
-) -> Comparison:
+    people: Evidence | AdviceLog, name: str, method: Method, folds: int, *, carry: bool, beside: str | None = None,
+    rules: Sequence[str] = (),
+) -> Comparison:  # fmt: skip
     """Compare trust rules on the people of a file with this name, or rules of what they see of others beside one.
+
+    With `rules`, these are compared with a theta that never moves, in place of all that are shipped.
 
     Expected errors end the command in one line.
     """
-    from ...learning.held_out import compare_rules
+    from ...learning.held_out import REFERENCE, compare_rules
 
     try:
+        chosen: Any = list(dict.fromkeys((REFERENCE, *rules))) if rules else None
         with stages() as show:
-            return compare_rules(people, method, beside=beside, folds=folds, carry=carry, progress=show)
+            return compare_rules(people, method, rules=chosen, beside=beside, folds=folds, carry=carry, progress=show)
     except ValueError as error:
         fail(f"{name}: {error}", ExitCode.FAILED)
 
