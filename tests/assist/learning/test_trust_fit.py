@@ -234,7 +234,7 @@ def test_what_cannot_be_compared_is_refused() -> None:
         compare_rules(observations, folds=1)
     with pytest.raises(ValueError, match="expected 'constant' among them"):
         compare_rules(observations, rules={"own": RuleFamily.of(Doubling())})
-    with pytest.raises(ValueError, match="trust 'vanity': expected one of paper, constant"):
+    with pytest.raises(ValueError, match="trust 'vanity'; expected one of paper, constant"):
         fit_influence(observations, "vanity")
 
 
