@@ -264,5 +264,5 @@ def test_several_goals_are_refused_and_a_log_without_places_has_the_order_of_nam
         fit_influence(found, "constant", Method(neighbours=Neighbours(rule=own)))
     with pytest.raises(ValueError, match="expected 'constant' among them"):
         compare_rules(found, rules=seen_families(constant()))
-    with pytest.raises(ValueError, match="beside 'trusting': expected one of "):
+    with pytest.raises(ValueError, match="trust 'trusting'; expected one of "):
         compare_rules(found, beside="trusting")
