@@ -62,12 +62,12 @@ def test_a_study_completes_behind_a_proxy_that_fails_twice(
             (tmp_path / "down").unlink()
         rehearsal.result(200)
         overview = session.see(service._overview)
-        done = [one for one in overview["participants"] if one["status"] == "done"]
+        done = [one for one in overview.participants if one.status == "done"]
         assert len(done) == participants
-        assert [one["begun"] for one in overview["conditions"]] == pytest.approx([participants / 2] * 2, abs=0.5)
+        assert [one.begun for one in overview.conditions] == pytest.approx([participants / 2] * 2, abs=0.5)
 
         # Links lead through the proxy, and the pages at them are complete.
-        code = done[0]["code"]
+        code = done[0].code
         trusted = ssl.create_default_context(cafile=str(tmp_path / "cert.pem"))
         for link in (service.join_url(), service.operator_url(), service.withdrawal_url(),
                      access.join_url(code).replace("/join/", "/part/")):  # fmt: skip
@@ -82,7 +82,7 @@ def test_a_study_completes_behind_a_proxy_that_fails_twice(
     log = (tmp_path / "access.log").read_text()
     assert log.count(" 502 ") >= 2
     assert f"/kits/api/study/participants/{code}/onward" in log
-    known = [access.operator, access.token(VISITOR), *(access.token(one["code"]) for one in overview["participants"])]
+    known = [access.operator, access.token(VISITOR), *(access.token(one.code) for one in overview.participants)]
     assert not [token for token in known if token in log]
     assert TOKEN.search(log) is None
 
