@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import KITTING, invoke
 from recorded import log_of
-from teams import equal, run, state
+from teams import state
 from test_qmdp import make
 
 from assist.connect.gymnasium import TeamEnv, TeamVectorEnv
@@ -51,7 +50,6 @@ from assist.person.travel import Travel
 from assist.studies.userstudy.forms import Item
 from assist.studies.userstudy.questionnaires import Questionnaire
 from assist.team.action_check import check
-from assist.team.common_random_numbers import BLOCK
 from assist.team.pool import Pool
 from assist.team.schedule import Schedule
 from assist.team.simulate import simulate
@@ -342,12 +340,6 @@ def test_a_service_forgets_who_has_not_called_for_longest() -> None:
     assert [allowance.wait(caller) for caller in ("ann", "ann", "bob", "ann", "cat", "dan", "ann")] == [
         0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0,
     ]  # fmt: skip
-
-
-def test_episodes_in_threads_are_the_same(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module("assist.team.simulate"), "PEOPLE_AT_A_TIME", 1)
-    alone = run(pool, "reactive", 2, 3 * BLOCK, 5)
-    assert equal(run(pool, "reactive", 2, 3 * BLOCK, 5, jobs=2), alone)
 
 
 def test_agents_see_beliefs_unless_they_are_not_to(pool: Pool) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,11 @@ from conftest import graph_task, kit
 from test_attention_subproblem import values
 from test_goal_bounds import ring
 
-from assist.certify import prices
 from assist.certify.priced_steps import window_of
 from assist.certify.prices import SubproblemKind, kinds_of
 from assist.people.choices import Choices
 from assist.people.ranges import Population
-from assist.person import each_goal
 from assist.person.attention_subproblem import AttentionSubproblem
-from assist.person.each_goal import BoundLimits, TruncatedProblem
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
 from assist.person.truncated_bound import likely
@@ -157,41 +153,6 @@ def _q(pomdp: Any, x: int, robot: int, then: np.ndarray) -> float:
             "suggested", "afterstate", "robot_costs", "unsuggested", "low", "weight")},
     )  # fmt: skip
     return float((values(one, then, [x])[x] * pomdp.prior).sum())
-
-
-def test_time_and_memory_are_shared_among_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 12 seconds the first of three kinds gets 4, and if it took none, the others as much."""
-    pool = Pool.sample(kit("tiny"), 3, seed=1, setting=replace(SETTING, knowledge="own"))
-    asked: list[tuple[float, dict[str, Any]]] = []
-
-    def policy(number: int) -> SimpleNamespace:
-        def bounded(entry: float, **options: Any) -> list[tuple[float, TruncatedProblem]]:
-            asked.append((entry, options))
-            return [(1.0, TruncatedProblem(pool.policies[number].pomdp, pairs=7 if number else 0))]
-
-        return SimpleNamespace(problem=SimpleNamespace(bounded=bounded), pomdp=pool.policies[number].pomdp)
-
-    fake: Any = SimpleNamespace(
-        model=pool.model, policies=[policy(number) for number in range(3)], setting=pool.setting
-    )
-    for module in (prices, each_goal):
-        monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: 100.0))
-    told: list[tuple[str, int, int]] = []
-    for with_outer, outer, limit in ((True, "kept", 100.0), (False, "frontier", 300.0)):
-        kinds = kinds_of(
-            fake, (0, 1, 2), SETTING.travel(3), 2, with_outer=with_outer, memory_limit_mb=300.0, until=112.0,
-            tell=lambda *what: told.append(what),
-        )  # fmt: skip
-        limits = [BoundLimits(until, limit, 100.0) for until in (104.0, 106.0, 112.0)]
-        assert asked == [(0.02, {"outer": outer, "limits": one}) for one in limits]
-        assert [(kind.places, kind.problem.pairs, kind.share) for kind in kinds] == [
-            ((0,), 0, 1),
-            ((1,), 7, 1),
-            ((2,), 7, 1),
-        ]
-        assert told == [("setting up people's problems", done, 3) for done in range(3)]
-        asked.clear()
-        told.clear()
 
 
 @pytest.mark.parametrize(

@@ -199,22 +199,6 @@ def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choic
     assert ahead.mean() > 3 * ahead.std() / np.sqrt(len(ahead))
 
 
-@pytest.mark.slow
-def test_bound_on_the_command_line() -> None:
-    result = invoke(
-        "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
-        "--value-episodes", "500", "--policy", "attention", "--policy", "none", "--json",
-    )  # fmt: skip
-    assert result.exit_code == 0, result.stderr
-    document = json.loads(result.stdout)
-    assert (document["humans"], document["policy"]) == (2, "attention")
-    assert [p["policy"] for p in document["policies"]] == ["attention", "none"]
-    assert document["value"] < document["upper"] + 4 * document["value_stderr"]
-    assert document["gap_percent"] == pytest.approx(
-        100 * (document["upper"] - document["value"]) / abs(document["value"])
-    )
-
-
 def test_teams_options_that_cannot_be(tmp_path: Path) -> None:
     folder = tmp_path
     (folder / "far.json").write_text("[[0, 1], [1, 0]]")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -214,10 +213,6 @@ def test_where_one_robot_is_enough_nothing_has_a_price() -> None:
     np.testing.assert_allclose(looked_for(Attended(4, 0.25, 0.5)), [0.0, PRICE[20:].mean()], rtol=1e-9)
 
 
-def test_the_first_step_changes_a_price_by_half_a_cost_unit() -> None:
-    np.testing.assert_allclose(looked_for(Attended(4, 0.5, 0.0), most=1), [0.5], rtol=1e-9)
-
-
 def test_steps_are_relative_to_the_number_of_busy_robots_and_to_past_ones() -> None:
     """Two robots are busy in the first round and four in the second, where one is there: by 1/2 and by 3/4 too many."""
 
@@ -227,12 +222,6 @@ def test_steps_are_relative_to_the_number_of_busy_robots_and_to_past_ones() -> N
 
     second = 0.5 + 0.5 * 0.75 / math.sqrt(0.5**2 + 0.75**2)
     np.testing.assert_allclose(looked_for(Busier(2, 1.0, 0.0), most=2), [second], rtol=1e-9)
-
-
-def test_every_round_has_random_numbers_of_its_own() -> None:
-    one, other = Attended(2, 0.5, 0.0), Attended(2, 0.5, 0.0)
-    looked_for(one, other)
-    assert one.seeds == other.seeds == list(range(3, 43))
 
 
 def test_people_at_the_edges_of_prices(strangers: Pool) -> None:
@@ -303,11 +292,6 @@ def test_states_at_a_step_are_those_that_can_be_reached_in_so_many(
     while not more <= everything:
         everything, more = everything | more, executed(after(everything | more))
     assert set(layers[-1].tolist()) == everything
-
-
-def test_half_of_the_states_of_a_step_cannot_be_reached_then() -> None:
-    alone = AssistPOMDP.of(HumanModel.exact(Choices.of(kit("paper"))))
-    assert len(TimeExpansion.of(alone, 2, 20)) == 13_232
 
 
 def test_a_bound_is_what_peoples_problems_are_worth_and_what_is_paid(strangers: Pool, bound: TeamBound) -> None:
@@ -426,12 +410,6 @@ def test_what_a_bounds_policy_and_its_relaxed_problem_need(pool: Pool) -> None:
     large = Pool.sample(kit("tiny"), 1, seed=1, states=1, region=6, setting=replace(SETTING, knowledge="exact"))
     with pytest.raises(ValueError, match="relaxed_value: expected an enumerated task"):
         relaxed_value(bound_at(large, (0,), []), episodes=2)
-
-
-def test_no_more_time_is_reported_than_has_passed(pool: Pool) -> None:
-    begun = time.perf_counter()
-    found = upper_bound(pool, (0,), window=0, gap=0.1)
-    assert 0 < found.seconds <= time.perf_counter() - begun
 
 
 def test_a_bound_from_sample_paths_counts_if_there_are_enough(strangers: Pool) -> None:

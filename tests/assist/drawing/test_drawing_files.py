@@ -140,14 +140,6 @@ def test_an_episode_shows_how_probable_each_goal_was(tmp_path: Path) -> None:
     assert (refused.exit_code, "expected --log as well" in refused.stderr) == (2, True)
 
 
-def test_one_of_state_plan_and_trace_is_drawn(tmp_path: Path) -> None:
-    (tmp_path / "a").write_text("")
-    found = invoke(
-        "draw", "kitting/tiny", "--state", tmp_path / "a", "--plan", tmp_path / "a", "--out", tmp_path / "a.svg"
-    )
-    assert (found.exit_code, "--state and --plan: expected one of them" in found.stderr) == (2, True)
-
-
 def test_a_picture_is_saved_in_the_format_that_its_name_asks_for(tmp_path: Path) -> None:
     picture = draw(TINY.task)
     picture.save(tmp_path / "a.svg")

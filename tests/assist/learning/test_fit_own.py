@@ -16,7 +16,6 @@ from assist.learning.log import Log
 from assist.people.choice_model import boltzmann
 from assist.people.choices import Choices
 from assist.people.decision import perceived_value
-from assist.people.user_code import UserCodeError
 from planner import OnDemand
 
 PAPER = kit("paper")
@@ -115,12 +114,6 @@ def test_a_task_solved_on_demand_gives_the_estimates_of_its_table() -> None:
         np.testing.assert_allclose([other.beta, other.theta], [one.beta, one.theta], rtol=1e-9)
         assert other.log_likelihood == pytest.approx(one.log_likelihood, rel=1e-12)
         np.testing.assert_array_equal(other.observations.gain, one.observations.gain)
-
-
-def test_what_cannot_be_fitted_is_refused() -> None:
-    log = Log.of(ROWS)
-    with pytest.raises(UserCodeError, match=r"gives an array of shape \((\d+), \d+\); expected \(8, \1, "):
-        fit(PAPER, log, model=lambda choices, q, beta: q)  # noqa: ARG005
 
 
 MINE = """
