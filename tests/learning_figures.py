@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -64,29 +65,18 @@ def population(found: Any) -> list[Any]:
 
 
 def comparison(found: Any) -> list[Any]:
-    return [
-        [
-            s.model,
-            s.nats_per_choice,
-            s.stderr,
-            s.difference,
-            s.interval,
-            s.p,
-            s.p_corrected,
-            list(s.parameters.values()),
-        ]
-        for s in found.scores
-    ]
+    of = attrgetter("model", "nats_per_choice", "stderr", "difference", "interval", "p", "p_corrected")
+    return [[*of(score), list(score.parameters.values())] for score in found.scores]
 
 
 def models(found: Any) -> list[Any]:
+    of = attrgetter("model", "nats_per_choice", "stderr")
+    known = ("beta", "theta", "eta")
     return [
         [
-            m.model,
-            m.nats_per_choice,
-            m.stderr,
+            *of(m),
             m.parameters["beta"],
-            [value for name, value in m.parameters.items() if name not in ("beta", "theta", "eta")],
+            [v for name, v in m.parameters.items() if name not in known],
             m.of_people.tolist(),
         ]
         for m in found.scores

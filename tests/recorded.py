@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,9 @@ RIGHT, WRONG, BACK = "(place hammer slot-1 box-a)", "(place hammer slot-2 box-a)
 FETCH = "(fetch box-a)"
 
 
-def lines(*actions: str, person: str = "ann", episode: str = "1", told: dict[int, str] | None = None) -> list[dict]:
+def lines(
+    *actions: str, person: str = "ann", episode: str = "1", told: Mapping[int, str | None] | None = None
+) -> list[dict]:
     return [
         {"person": person, "episode": episode, "step": step, "action": action, "suggestion": (told or {}).get(step)}
         for step, action in enumerate(actions)
@@ -64,15 +67,8 @@ def people_at_work(
                 p = influence(choice(q[x], choices.applicable[x], own), told, trusts)
                 slot = int(rng.choice(len(p), p=p))
                 name = None if told < 0 else choices.name(x, told)
-                rows.append(
-                    {
-                        "person": f"p{k}",
-                        "episode": str(episode),
-                        "step": step,
-                        "action": choices.name(x, slot),
-                        "suggestion": name,
-                    }
-                )
+                rows += lines(choices.name(x, slot), person=f"p{k}", episode=str(episode), told={0: name})
+                rows[-1]["step"] = step
                 if told >= 0:
                     trusts = float(trust(trusts, v[x], v[choices.targets[x, told]], eta))
                 x = int(choices.targets[x, slot])

@@ -197,7 +197,7 @@ def test_ctrl_c_leaves_the_policies_that_were_simulated(tmp_path: Path, monkeypa
     own = tmp_path / "own.py"
     own.write_text("def stop(team):\n    raise KeyboardInterrupt\n")
     out, trace, figure = (tmp_path / name for name in ("out.jsonl", "trace.jsonl", "episode.svg"))
-    begin = ("simulate", TINY, "--humans", 2, "--episodes", 70, "--policy")
+    begin = ("simulate", TINY, "--humans", 2, "--episodes", 10, "--policy")
     alone = invoke(*begin, "none", "--out", out, "--trace", trace)
     want = (alone.stdout, out.read_bytes(), trace.read_bytes())
     said = "interrupted; what was finished by then is shown\n"

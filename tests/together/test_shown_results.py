@@ -113,7 +113,9 @@ def test_a_bound_and_a_certificate_say_what_they_prove(results: dict[str, Any]) 
     bound, none = results["bound"], results["certificate"]
     proves = f"upper bound {bound.upper:.3f} on the value of every policy"
     assert repr(bound) == f"<{proves} for 2 people, with free attention>"
-    assert repr(none).startswith(f"<none: value {none.value:.3f} ± {none.value_stderr:.3f} over 10 episodes, at most ")
+    assert repr(none).startswith(
+        f"<none: value {none.value:.3f} ± {none.value_stderr:.3f} over 10 episodes, gap at most "
+    )
 
 
 def test_frames_of_people_and_goals_have_their_names(learned: dict[str, Any]) -> None:

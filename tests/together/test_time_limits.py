@@ -39,7 +39,7 @@ def seen(**options: Any) -> list[Observations]:
 
 def agents(number: int = 3, states: int = 4) -> Agents:
     rng, shape = np.random.default_rng(0), (number, 2, states)
-    return Agents(rng.dirichlet(np.ones(states), size=shape), rng.normal(size=shape), gamma=0.9)
+    return Agents(rng.dirichlet(np.ones(states), size=shape), rng.normal(size=shape), gamma=0.7)
 
 
 RAISES: dict[str, tuple[Callable[[float], Any], str]] = {

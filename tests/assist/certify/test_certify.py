@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_goal_bounds import ring
 
-from assist.certify import certificate, comparison, computation, prices, team_bound
+from assist.certify import certificate, comparison, prices, team_bound
 from assist.certify.certificate import Certificate, horizon, returns
 from assist.certify.information_relaxation.options import RelaxationOptions
 from assist.certify.options import BoundOptions
@@ -482,58 +482,6 @@ def test_a_bound_and_certificates_share_what_is_told_of_luck_and_progress(strang
     assert other.price.tolist() == upper_bound(strangers, seed=0, **options).price.tolist()  # type: ignore[arg-type]
     assert found.price.tolist() != other.price.tolist()
     assert {"optimising prices", "bounding people's problems"} <= set(told)
-
-
-@pytest.mark.slow
-def test_time_is_shared(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 100 seconds the bound gets 80, of which prices get 32. Policies get what is left, in equal parts."""
-    now, asked = [1000.0], []
-
-    def taking(seconds: float, name: str, limited: str) -> None:
-        module = computation
-        real = getattr(module, name)
-
-        def run(*arguments: object, **options: object) -> object:
-            asked.append((name, options.get(limited)))
-            now[0] += seconds
-            return real(*arguments, **{**options, limited: math.inf if name == "search" else None})
-
-        monkeypatch.setattr(module, name, run)
-
-    class Slow(NoAssistance):
-        def __init__(self, seconds: float) -> None:
-            self.seconds = seconds
-
-        def __call__(self, team: TeamState, /) -> TeamAction:
-            now[0] += self.seconds * (team.step == 0) * len(team.x) / 1024  # at the beginning of each episode
-            return super().__call__(team)
-
-    for module in (team_bound, computation, comparison, certificate):
-        monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: now[0]))
-    for seconds, name, limited in ((4, "search", "deadline"), (26, "solve", "time_limit")):
-        taking(seconds, name, limited)
-    policies = {"few": Slow(0.25), "first": Slow(2.0), "slow": Slow(4.0), "last": Slow(2.0)}
-    options = {"window": 2, "gap": 0.1, "jobs": 1}
-    found, made = certify(pool, policies, episodes=20 * 1024, time_limit=100.0, **options)
-    assert asked == [("search", 1032.0), ("solve", 38.0), ("solve", 50.0)]
-    assert found.seconds == 56
-    # The first portions take 8.25 s. "few" needs 4.75 s more; of the rest the others get 10.3 s each, or a turn more.
-    few, first, slow, last = (one.episodes / 1024 for one in made)
-    assert few == 20
-    assert {first, last} <= {6, 7}
-    assert slow in {3, 4}
-    assert 1100 < now[0] <= 1104
-    now[0] += 1000
-    _, made = certify(pool, policies, episodes=2048, time_limit=1e-9, **options)
-    assert [one.episodes for one in made] == [1024] * 4
-    asked.clear()
-    upper_bound(pool, window=2, gap=0.1, jobs=2, time_limit=20.0)
-    assert asked[0] == ("search", now[0] - 56 + 8)
-    assert sorted(limit for name, limit in asked if name == "solve") in ([0.0, 16.0], [16.0, 16.0])  # at a time
-    asked.clear()
-    certify(pool, {"a": "none"}, episodes=2, window=2, gap=0.1)
-    assert {limit for name, limit in asked if name != "search"} == {None}
-    assert asked[0] == ("search", math.inf)
 
 
 @pytest.mark.parametrize(

@@ -485,46 +485,10 @@ def test_alpha_is_best_on_lucks_of_its_own(
     assert len(pilot) == len(set(pilot)) <= abs(USUAL.alphas.index(0.45) - best) + 3  # the other side costs nothing
 
 
-def test_an_alpha_that_takes_the_search_long_leaves_time_for_few_lucks(
-    robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """On the same paths 0.6 is the lowest, but 0.45 gives a lower bound in the remaining time."""
-    clock, each = [0.0], dict.fromkeys(USUAL.alphas, 1.0)
-
-    def bounds(paths: Sequence[SamplePath], alpha: float) -> list[float]:
-        clock[0] += each[alpha] * len(paths)
-        return [(-50.0, -54.0)[luck % 2] + abs(alpha - 0.6) for luck in range(len(paths))]
-
-    monkeypatch.setattr(robot, "paths", lambda of: [[] for _ in of])
-    monkeypatch.setattr(robot, "_bounds", bounds)
-    monkeypatch.setattr(robot, "left", lambda _: 1 - clock[0] / 1000)
-    at_leisure = robot.sampled(200, 0)
-    assert (at_leisure.alpha, at_leisure.paths) == (0.6, 200)
-    clock[0] = 0.0
-    each[0.6] = 20.0
-    in_time = robot.sampled(200, 0)
-    assert (in_time.alpha, in_time.paths) == (0.45, 200)
-
-
 def test_what_is_sampled_does_not_depend_on_how_many_work_at_a_time() -> None:
     found = [made(PRICE, workers).sampled(7, 0) for workers in (1, 2, 5)]
     assert found[0] == found[1] == found[2]
     assert found[0].paths == 7
-
-
-def test_wishes_are_worked_out_bit_by_bit(robot: InformationRelaxation, paths: list[SamplePath]) -> None:
-    """The values do not depend on how often the time limit is checked."""
-    asked: list[int] = []
-    again = InformationRelaxation(
-        [person.belief_nodes for person in robot.people],
-        PRICE,
-        left=lambda done: asked.append(done) or 1.0,
-        options=RelaxationOptions(rows_per_check=3),
-    )
-    assert again.lost == robot.lost
-    assert len(asked) > 20
-    (path,) = drawn(again, [0])
-    assert [again.bound(path, alpha) for alpha in (0.3, 0.8)] == [robot.bound(paths[0], alpha) for alpha in (0.3, 0.8)]
 
 
 def test_a_time_limit_holds_while_wishes_are_worked_out(

@@ -9,10 +9,11 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import invoke, kit, write_instance
+from conftest import invoke, write_instance
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of
+from test_log import PLAN, text_of, used
 
 from assist.declare.refusals import Refusal
 from assist.learning.log import Log, read_log, told
@@ -21,13 +22,6 @@ from assist.learning.replay import replay
 from assist.people.action_names import words_of
 from planner import Table, load, sweep
 from planner.system.signs import plain
-
-PLAN = kit("tiny").optimal_plan() or []
-
-
-def text_of(rows: list[dict]) -> list[str]:
-    return [json.dumps(row) for row in rows]
-
 
 BASE = lines(FETCH, RIGHT, BACK, told={1: RIGHT})
 HEAD = "person,episode,step,action,suggestion\n"
@@ -351,7 +345,7 @@ def test_other_unseen_signs(tmp_path: Path, tiny: Table) -> None:
     assert [plain(persian), plain(engineer)] == [persian, engineer]
     file = tmp_path / "log.csv"
     file.write_text("\ufeff" + (HEAD + ROWS).replace("step", "\u200bstep").replace(")", ")\u200b"))
-    assert actions_of(file, tiny) == {"ann": 3}
+    assert used(file, tiny) == {"ann": 3}
     assert "U+200B (zero width space) as nothing (first on line 2)" in read_log(file).note
 
 
@@ -421,20 +415,15 @@ def test_unicode_is_read_in_any_form(tmp_path: Path, tiny: Table, encoding: str)
     file.write_text("\n".join(texts) + "\n", encoding=encoding)
     log = read_log(file)
     assert (log.faults, log.note) == ((), f"read as {encoding[:6].upper()}")
-    assert actions_of(file, tiny) == {"Zoë": len(PLAN), "ann": len(PLAN)}
+    assert used(file, tiny) == {"Zoë": len(PLAN), "ann": len(PLAN)}
     raw = file.read_bytes()
     width = 4 if "32" in encoding else 2
     half = b"\x00\xd8" if encoding in ("utf-16", "utf-16-le") else b"\xd8\x00"  # half of a pair
     spoilt = half.ljust(width, b"\xd8") if width == 4 else half
     end = len(raw) - width
     file.write_bytes(raw[: end - 2 * width] + spoilt + raw[end - width :])
-    assert actions_of(file, tiny) == {"Zoë": len(PLAN)}
+    assert used(file, tiny) == {"Zoë": len(PLAN)}
     assert read_log(file).faults[0].line == len(texts)
-
-
-def actions_of(file: Path, table: Table) -> dict[str, int]:
-    recording, _ = replay(read_log(file), table)
-    return {person: int((recording.person == k).sum()) for k, person in enumerate(recording.people)}
 
 
 FORMS = {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 import numpy as np
 import pytest
 from conftest import kit
@@ -11,7 +9,7 @@ from recorded import lines, observed, people_at_work
 
 from assist.learning.likelihood import Method, largest_beta
 from assist.learning.likelihood_table import log_likelihood
-from assist.learning.maximum_likelihood import THETA, Profiles, maximum_likelihood
+from assist.learning.maximum_likelihood import maximum_likelihood
 from assist.learning.observations import Observations
 from assist.people.choices import Choices
 
@@ -75,18 +73,3 @@ def test_theta_may_have_to_lie_in_a_narrow_range() -> None:
         profile = log_likelihood(o, np.geomspace(0.01, 5, 60), theta, np.array([eta])).max()
         if profile > found.log_likelihood - DROP + 1e-3:
             assert found.estimates["eta"].interval[0] <= eta <= found.estimates["eta"].interval[1]
-
-
-def test_lines_are_searched_in_parts_where_they_would_take_much_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    (o,) = ten_actions("tiny", 1, 1.0, 0)
-    whole = Profiles(o, Method(), 5.0)
-    monkeypatch.setattr(import_module("assist.learning.maximum_likelihood"), "TOGETHER", 1)
-    parts = Profiles(o, Method(), 5.0)
-    assert len(whole.of_rates) > 10
-    np.testing.assert_array_equal(parts.over_theta, whole.over_theta)
-    for rate, places in zip(whole.axes[2], whole.of_rates, strict=True):
-        turns = np.concatenate([end - rate * whole.sums for end in (0.0, 1.0)])
-        kinks = turns[(turns >= 0) & (turns <= 1)]
-        assert np.abs(places[:, None] - kinks).min(axis=0, initial=1.0).max(initial=0.0) < 1e-9
-        assert (np.diff(places) > 0).all()
-        assert (places[0], places[-1]) == (whole.low[THETA], whole.high[THETA])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import invoke, kit
+from conftest import kit
 from teams import state
 
 from assist.people.choices import Choices
@@ -128,11 +128,3 @@ def test_what_it_cannot_know_is_refused(tiny: Table) -> None:
     for wrong in ({"samples": 4}, {"near": -1.0}, {"people": -1}, {"errors": "many"}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             RolloutOptions(**wrong)
-
-
-def test_it_has_a_name_on_the_command_line() -> None:
-    asked = ["simulate", "kitting/tiny", "--humans", "2", "--policy", "rollout", "--episodes", "5"]
-    assert "rollout" in invoke(*asked).output
-    done = invoke(*asked, "--set", "observation.miss=0.05")
-    assert done.exit_code == 2
-    assert "--policy rollout with observation: expected actions that are all seen" in " ".join(done.output.split())
