@@ -155,8 +155,12 @@ def costly(quick: int, thorough: int) -> settings:
 
 
 def thinned(values: Iterable[Any], every: int = 2) -> list[Any]:
-    """Return parameters of a test: `make test` runs the first and every `every`-th after it; the others are `slow`."""
-    return [pytest.param(value, marks=[pytest.mark.slow] * (k % every > 0)) for k, value in enumerate(values)]
+    """Return parameters of a test: `make test` runs the first and every `every`-th after it; the others are `slow`.
+
+    A tuple has the values of several parameters.
+    """
+    rows = [value if isinstance(value, tuple) else (value,) for value in values]
+    return [pytest.param(*row, marks=[pytest.mark.slow] * (k % every > 0)) for k, row in enumerate(rows)]
 
 
 @cache
@@ -166,7 +170,8 @@ def table_of(instance: Instance) -> Table:
 
 def kit(name: str) -> Table:
     """Return the table of a shipped kitting task, computed once in each process."""
-    return table_of(Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl"))
+    file = KITTING / f"{name}.pddl"
+    return table_of(Instance(file, file.parent / "domain.pddl"))
 
 
 def solvable(instances: list[Instance]) -> list[Instance]:

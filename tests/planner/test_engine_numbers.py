@@ -343,6 +343,7 @@ def test_an_action_that_would_leave_the_bounds_is_not_applicable() -> None:
     assert table.optimal_plan() == ["(up)", "(up)", "(down)", "(up)"]
 
 
+@pytest.mark.slow
 def test_a_number_that_grows_for_ever_is_refused_by_name() -> None:
     problem, number = counter(IntType())
     problem.clear_actions()

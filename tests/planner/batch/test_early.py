@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from planner import Limits, Table, instance, load, verify
 from planner.batch import solve_batch as batch
 from planner.batch.results_folder import COMPARING, SWEEPING, Results, SolveOptions, SolveRecord, saved_files
 from planner.batch.solve_batch import solve_batch
-from planner.batch.solve_instance import _Phases, solve_instance
+from planner.batch.solve_instance import solve_instance
 from planner.costtogo.astar import Early
 from planner.costtogo.table import sweep
 from planner.grounding import fast_downward
@@ -109,13 +108,6 @@ def test_a_table_that_contradicts_the_first_answer_is_not_kept(monkeypatch: pyte
     assert (record["status"], record["cost"], record["plan"]) == ("invalid", None, None)
     assert "is 7, but Fast Downward's A* says 6" in record["error"]["message"]
     assert list(tmp_path.iterdir()) == []
-
-
-def test_small_tasks_have_one_answer() -> None:
-    told: Told = []
-    record = solve_instance(instance(TINY), SolveOptions(verify=3), tell=lambda *what: told.append(what))
-    assert all(saved and each["states"] == 21 for each, saved in told)
-    assert (record["verified"], record["consistent"]) == (3, 3)
 
 
 def test_comparing_takes_a_part_of_the_search_unless_more_is_asked_for() -> None:
@@ -282,24 +274,3 @@ def test_ctrl_c_in_the_comparison_keeps_the_record(tmp_path: Path) -> None:
     ]  # fmt: skip
     again = subprocess.run([command, *words, "--resume", "--json"], capture_output=True, text=True, timeout=300)
     assert json.loads(again.stdout) == [record]
-
-
-def test_records_are_reported_one_at_a_time_and_a_late_first_answer_replaces_none() -> None:
-    """The first answer comes from a thread of its own, perhaps while the last record is written."""
-    inside, told = [0], list[tuple[int, bool]]()
-
-    def tell(record: SolveRecord, saved: bool) -> None:
-        inside[0] += 1
-        assert inside[0] == 1
-        time.sleep(0.01)
-        told.append((record["cost"], saved))
-        inside[0] -= 1
-
-    phases = _Phases(None, None, lambda *_: None, tell)
-    with ThreadPoolExecutor(4) as threads:
-        list(threads.map(lambda cost: phases.tell({"cost": cost}, saved=False), range(4)))
-        list(threads.map(lambda cost: phases.tell({"cost": cost}, saved=cost > 3), range(8)))
-    assert sorted(told[:4]) == [(cost, False) for cost in range(4)]
-    assert phases.latest is not None
-    assert (phases.latest["cost"], told[-1][1]) == (told[-1][0], True)
-    assert [saved for _, saved in told] == sorted(saved for _, saved in told)

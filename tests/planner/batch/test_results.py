@@ -47,20 +47,6 @@ def run(*arguments: object) -> Result:
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-@pytest.mark.slow
-def test_a_changed_problem_is_solved_again(tmp_path: Path, instance: Instance) -> None:
-    out = tmp_path / "out"
-    out_json = ("--out", out, "--verify", 1, "--json")
-    first = run("solve", instance.problem, *out_json)
-    assert [record["cost"] for record in json.loads(first.stdout)] == [6]
-    assert run("solve", instance.problem, *out_json, "--resume").stdout == first.stdout
-    instance.problem.write_text(HALF)
-    again = run("solve", instance.problem, *out_json, "--resume")
-    assert [record["cost"] for record in json.loads(again.stdout)] == [3]
-    assert [json.loads(line)["cost"] for line in (out / "results.jsonl").read_text().splitlines()] == [3]
-    assert next(out.rglob("*.plan")).read_text().endswith("; cost = 3 (unit cost)\n")
-
-
 @pytest.mark.parametrize(
     "change", ["nothing", "comment", "domain", "other domain", "states", "time", "no file", "record", "search"]
 )
@@ -188,25 +174,3 @@ def test_an_instance_whose_worker_ends_does_not_end_the_others(tmp_path: Path, m
         ("invalid", "internal error: RuntimeError('a fault')"),
     ]
     assert len((tmp_path / "out" / "results.jsonl").read_text().splitlines()) == len(ends)
-
-
-@pytest.mark.slow
-def test_one_problem_with_two_domains_is_two_instances(tmp_path: Path) -> None:
-    """Each has its own record, table and plan, and a resumed run keeps both."""
-    dear = tmp_path / "in" / "dear.pddl"
-    dear.parent.mkdir()
-    dear.write_text(
-        DOMAIN.replace(":effect (and", ":effect (and (increase (total-cost) 3)").replace(
-            "(:predicates", "(:functions (total-cost) - number)\n(:predicates", 1
-        )
-    )
-    priced = tmp_path / "in" / "priced.pddl"
-    priced.write_text(TINY.rstrip().removesuffix(")") + "(:metric minimize (total-cost)))")
-    pair = [Instance(priced, dear), Instance(priced, tmp_path / "in" / "free.pddl")]
-    pair[1].domain.write_text(dear.read_text().replace("(total-cost) 3)", "(total-cost) 1)"))
-    out = tmp_path / "out"
-    first = solve_batch(pair, OPTIONS, out=out)
-    assert [(record["domain"], record["cost"]) for record in first] == [(str(dear), 18), (str(pair[1].domain), 6)]
-    assert sorted(file.suffix for file in out.rglob("priced*")) == [".npz", ".npz", ".plan", ".plan"]
-    assert solve_batch(pair, OPTIONS, out=out, resume=True) == first
-    assert len((out / "results.jsonl").read_text().splitlines()) == 2

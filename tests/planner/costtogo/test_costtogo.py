@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import graph_task, kit
+from conftest import graph_task
 
 from planner import Instance, LimitError, Limits, MismatchError, OnDemand, Table, Task, astar, sweep, verify
 from planner.costtogo import verification
 from planner.costtogo.cost_to_go import optimal_choices
-from planner.costtogo.verification import check_successors, sample
+from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
 from planner.grounding.semantics import plan_cost
 from planner.grounding.translation import from_sas
-from planner.search.state_space import UNREACHED, compact, plan_lengths, smallest_type
+from planner.search.state_space import UNREACHED, compact, smallest_type
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
 EDGES = [(1, 0, 5), (1, 2, 1), (2, 0, 3), (1, 3, 0), (3, 4, 0), (4, 0, 4), (4, 3, 0), (3, 1, 0), (2, 5, 1), (5, 6, 0)]
@@ -98,37 +98,6 @@ def test_a_table_without_any_finite_cost() -> None:
     assert compact(np.empty(0, dtype=np.int64)).dtype == np.uint8
 
 
-def test_numbers_of_actions_by_hand() -> None:
-    """Edges to the goal 0 from 1 and 2; from 1 to 2, twice; 3 has none; 4 leads to 3, 5 to 1."""
-    targets, sources = np.array([0, 0, 2, 2, 3, 1]), np.array([1, 2, 1, 1, 4, 5])
-    goal = np.array([True, False, False, False, False, False])
-    assert plan_lengths(targets, sources, goal).tolist() == [0, 1, 1, UNREACHED, UNREACHED, 2]
-
-
-def test_some_states_at_random(table: Table) -> None:
-    for count in (0, 1, 3, len(table) - 2, len(table) - 1):
-        drawn = sample(len(table), table.initial, count + 1, np.random.default_rng(0))[1:]
-        assert len(set(drawn)) == count
-        assert table.initial not in drawn
-        assert set(drawn) <= set(range(len(table)))
-    for count in (len(table), 99):
-        drawn = sample(len(table), table.initial, count + 1, np.random.default_rng(0))[1:]
-        assert sorted([table.initial, *drawn]) == list(range(len(table)))
-
-
-def test_where_every_action_costs_something_any_of_several_plans_will_do() -> None:
-    """From each node on the way from 5 to 0 there are two steps, with two edges each."""
-    steps = [(5, 4), (5, 3), (4, 2), (4, 1), (3, 2), (3, 1), (2, 0), (1, 0)]
-    edges = [(*step, 2) for step in steps for _ in range(2)]
-    table = sweep(graph_task(edges, start=5))
-    plan = table.optimal_plan()
-    assert plan is not None
-    walked = [edges[int(action.strip("()").split()[1])] for action in plan]
-    assert [origin for origin, _, _ in walked] == [5, *(target for _, target, _ in walked[:-1])]
-    assert (walked[-1][1], len(walked)) == (0, 3)
-    assert table.optimal_choices().all()
-
-
 @pytest.mark.parametrize("start", [1, 2, 3])
 def test_a_plan_gets_out_of_a_circle_of_free_actions(start: int) -> None:
     """Actions between 1 and 2 are free and form a cycle; leaving it is free too, and the goal costs 2 from every
@@ -148,10 +117,6 @@ def test_a_task_without_actions() -> None:
     assert there.optimal_choices().tolist() == []
     assert elsewhere.optimal_plan() is None
     assert elsewhere[elsewhere.initial] == np.inf
-
-
-def test_a_table_is_swept_and_searches_for_nothing(table: Table) -> None:
-    assert (table.method, table.searches) == ("sweep", False)
 
 
 def test_a_table_cannot_be_written_into(table: Table) -> None:
@@ -281,18 +246,3 @@ def test_large_costs_are_right_or_refused(costs: tuple[int, int, int], right: bo
     else:
         with pytest.raises(LimitError, match="Fast Downward"):
             astar(task)
-
-
-def test_a_comparison_without_end_is_given_up() -> None:
-    """The search of one state is limited by the remaining time of all."""
-    table = kit("tiny")
-    given: list[float | None] = []
-
-    def asked(*_: object, limits: Limits, **__: object) -> None:
-        given.append(limits.seconds)
-        raise LimitError("as if it did not end")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planner.costtogo.verification.astar", asked)
-        assert verify(table, 5, np.random.default_rng(0), seconds=3.0) == 0
-    assert all(seconds is not None and 0 < seconds <= 3.0 for seconds in given)

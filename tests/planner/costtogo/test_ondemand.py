@@ -95,19 +95,6 @@ def test_plan_lengths_equal_the_tables(changed: str) -> None:
     assert asked.plan_lengths([]).tolist() == []
 
 
-def test_a_plan_labels_the_states_on_it(tiny: Table) -> None:
-    asked = OnDemand(tiny.task, jobs=1)
-    asked.lookup([asked.initial])
-    on_plan = [tiny.initial]
-    for action in tiny.optimal_plan() or []:
-        on_plan.append(tiny.space.options(on_plan[-1])[action])
-    known = asked._known
-    assert len(known) == 7
-    assert sorted(known.values()) == [0, 1, 2, 3, 4, 5, 6]
-    numbers = asked.numbers(np.array([asked.packing.unpack(np.frombuffer(key, np.uint64)) for key in known]))
-    np.testing.assert_array_equal(tiny.lookup(tiny.numbers(asked.values(numbers))), list(known.values()))
-
-
 def test_derived_variables_are_asked_for_too(tmp_path: Path) -> None:
     domain = """(define (domain d) (:requirements :adl) (:types t) (:predicates (a) (b) (c))
       (:action x :parameters () :precondition (not (a)) :effect (a))
@@ -239,7 +226,7 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
     little = cost_to_go(load(HUGE), memory_limit_mb=20)
     assert isinstance(little, OnDemand)
     assert "memory" in (little.reason or "")
-    middle, sweep_of = load(KITTING / "ladder-4x7.pddl"), portfolio.sweep
+    middle, sweep_of = load(KITTING / "ladder-4x6.pddl"), portfolio.sweep
 
     def endless(task: Task, *, stop: threading.Event, **options: Any) -> Table:
         assert stop.wait(60)
@@ -251,9 +238,9 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
     assert isinstance(few, OnDemand)
     assert "asking for 1 states took" in (few.reason or "")
     assert few.known([few.initial])[0] == 6
-    hasty = cost_to_go(middle, states=np.array([middle.initial]), max_states=10**5, limits=Limits(seconds=0.001))
+    hasty = cost_to_go(middle, states=np.array([middle.initial]), max_states=10**4, limits=Limits(seconds=0.001))
     assert isinstance(hasty, OnDemand)  # no search answers in a millisecond, so that the sweep had to try
-    assert hasty.reason == "more than 100000 states"
+    assert hasty.reason == "more than 10000 states"
     with monkeypatch.context() as patch:  # the sweep would be faster anyway, except on a busy machine
         patch.setattr("planner.costtogo.portfolio.FIRST", 60)
         assert isinstance(cost_to_go(tiny.task, states=tiny.values([0, 1])), Table)
@@ -292,14 +279,6 @@ def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest
     assert fastest("slow", "fast", "between") == "fast"
     assert allowed == [None, 3.0, 1.0]  # no search may take longer than the best so far
     assert fastest("slow", "between", limits=Limits(seconds=2.5)) == "between"
-
-
-def test_the_plan_that_chose_the_search_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, others = OnDemand(load(KITTING / "tiny.pddl")), list[object]()
-    monkeypatch.setattr("planner.costtogo.on_demand.astar", lambda *args, **_: others.append(args))
-    table = table_of(Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl"))
-    assert asked.lookup([asked.initial])[0] == table[table.initial]
-    assert others == []
 
 
 def corridor(jump: int | None = None) -> Task:

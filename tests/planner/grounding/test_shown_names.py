@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from dataclasses import replace
 from fractions import Fraction
 
@@ -12,7 +10,7 @@ import pytest
 
 from assist import Assistant
 from assist.people.choices import Choices
-from planner import OnDemand, astar, load, sweep, verify
+from planner import OnDemand, astar, sweep, verify
 from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
 from planner.grounding.semantics import replay
@@ -87,20 +85,3 @@ def test_people_tell_actions_apart_by_their_names(stock: Task) -> None:
 
 def test_a_stored_task_keeps_them(stock: Task) -> None:
     assert replace(from_sas(stock.sas, stock.instance), unit=stock.unit) == stock
-
-
-def test_bounds_of_a_type_are_not_lost() -> None:
-    """Beyond its bounds a counter cannot go, and without bounds it goes as far as it is asked to."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from unified_planning.shortcuts import Equals, Fluent, InstantaneousAction, IntType, Problem
-
-        for bounds, cost in (((0, 9), 2), ((None, None), 2), ((1, 9), math.inf)):
-            stock, problem = Fluent("stock", IntType(*bounds)), Problem("one")
-            take = InstantaneousAction("take")
-            take.add_precondition(stock >= 1)
-            take.add_decrease_effect(stock, 1)
-            problem.add_fluent(stock, default_initial_value=2)
-            problem.add_action(take)
-            problem.add_goal(Equals(stock, 0))
-            assert astar(load(problem))[0] == cost

@@ -43,7 +43,7 @@ def by_words(table: Table) -> bool:
 
 def test_tasks_with_few_ranks_are_numbered_by_rank() -> None:
     rng = random.Random("ranks")
-    for task in [load("domains/kitting/paper.pddl"), *(random_task(rng) for _ in range(20))]:
+    for task in [load("domains/kitting/paper.pddl"), *(random_task(rng) for _ in range(10))]:
         if (
             all(len(set(o.effects)) for o in task.operators)
             and compiled_search._plain(task, Budget(None, 1e12, None, None))[1]
@@ -57,7 +57,7 @@ def test_others_are_numbered_by_layer_and_packed_words(axioms: bool, monkeypatch
     monkeypatch.setattr(numbering, "split_operators", lambda *_: None)
     monkeypatch.setattr("planner.search.state_registry.STATES_AT_A_TIME", 3)
     rng = random.Random(f"words {axioms}")
-    for _ in range(20):
+    for _ in range(8):
         task = random_task(rng, axioms=axioms, costs=range(3))
         assert all(by_words(module.sweep(task, options=options)) for options in (None, COMPILED))
         task = with_more(task, rng, dead=70, tied=True)

@@ -90,7 +90,7 @@ COSTS = [range(1, 2), range(3), range(1), range(3, 90_000, 11), range(0, 10**12,
 
 
 @pytest.mark.parametrize("way", WAYS)
-@costly(9, 100)
+@costly(4, 100)
 @given(
     st.integers(0, 10**6),
     st.sampled_from(COSTS),

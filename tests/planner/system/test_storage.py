@@ -134,11 +134,11 @@ def test_a_full_disk_is_said_with_the_files_name(tmp_path: Path) -> None:
     """A limit on the size of files stands for a full disk."""
     whole, started = tmp_path / "whole.jsonl", tmp_path / "started.jsonl"
     append(started, "first\n")
-    many = (*SIMULATE[:-5], "500", *SIMULATE[-4:])
+    many = (*SIMULATE[:-5], "150", *SIMULATE[-4:])
     assert run(*many, "--out", whole).exit_code == 0  # all is compiled
     whole.unlink()
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
     try:
         with pytest.raises(OSError, match=f"{whole}") as failure:
             write_records(whole, [{"number": n} for n in range(10_000)])
