@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, table_of
+from conftest import kit, thinned
 from crosscheck import MODELS
 from graphs import graph_task
 
@@ -29,14 +29,10 @@ from assist.person.settings import Setting
 from assist.person.time_expansion import AWAY, HERE
 from assist.person.truncated_bound import BoundSizes, bounded, likely
 from assist.team import Pool
-from planner import Instance, LimitError, Table, sweep
+from planner import LimitError, sweep
 
 ENTRY = 0.4
 PRIOR = Population(sigma=(1.0, 1.0))
-
-
-def kit(task: str) -> Table:
-    return table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
 
 
 def somebody(noise: Any = "state") -> Human:
@@ -86,7 +82,7 @@ def test_nobody_gets_more(task: str, size: int, setting: Setting, human: Human |
         assert (frontier.away <= frontier.upper + 1e-9).all()
 
 
-@pytest.mark.parametrize("c_execute", [0.0, 0.8])
+@pytest.mark.parametrize("c_execute", thinned([0.8, 0.0]))
 @pytest.mark.parametrize(("task", "suggestions"), [("tiny", "all"), ("sealed", "optimal"), ("costs/ways", "optimal")])
 def test_nobody_gets_more_where_robots_execute(
     task: str, suggestions: Any, c_execute: float, monkeypatch: pytest.MonkeyPatch
@@ -111,7 +107,7 @@ def test_nobody_gets_more_where_robots_execute(
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("knowledge", ["exact", "own"])
+@pytest.mark.parametrize("knowledge", thinned(["own", "exact"]))
 def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(
     model: str, knowledge: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, table_of
+from conftest import kit
 
 from assist.declare.declared import declared
 from assist.people.belief import Grid
@@ -18,14 +18,9 @@ from assist.person.assumptions import Assumptions
 from assist.person.compliance_relaxation import breadth_first, compliance_bounds
 from assist.person.frontier_bounds import never_erring
 from assist.person.robots import OfRobots
-from planner import Instance, Table
 
 GAMMA, LAPSE = 0.95, 0.02
 ROBOT = OfRobots(c_suggest=0.3)
-
-
-def of(task: str) -> Table:
-    return table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
 
 
 @declared
@@ -46,7 +41,7 @@ def solved(
     task: str, human: Human | None, grid: Grid, eta: float, most: int, robot: OfRobots = ROBOT, **options: Any
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Return the MDP values of some states, (m, B, T), the bound, (m, B), and the bound without errors."""
-    table = of(task)
+    table = kit(task)
     choices = Choices.of(table)
     known = {"eta": eta, "lapse": LAPSE}
     model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
@@ -93,7 +88,7 @@ def test_who_always_complies_gets_as_much() -> None:
 
 
 def test_states_are_met_layer_by_layer() -> None:
-    table = of("tiny")
+    table = kit("tiny")
     layers = [np.array([table.initial])]
     for _ in range(3):
         targets = [table.choices(layers[-1]).targets]

@@ -30,7 +30,8 @@ from planner import LimitError
 
 EVERYTHING = 10_000  # states, more than these tasks have
 SETTING = Setting(c_suggest=0.2, c_move=0.1, max_steps=60)
-OPTIONS: dict[str, Any] = {"humans": 2, "episodes": 64, "seed": 3}
+OPTIONS: dict[str, Any] = {"humans": 2, "episodes": 24, "seed": 3}
+OTHERS = ("none", "priority", "whittle")
 
 
 def pools(goals: Goals, setting: Setting, region: int = EVERYTHING) -> tuple[Pool, Pool]:
@@ -41,17 +42,8 @@ def pools(goals: Goals, setting: Setting, region: int = EVERYTHING) -> tuple[Poo
     )
 
 
-SLOW = {("whittle", "people"), ("whittle", "model"), ("none", "model"), ("priority", "people")}
-
-
-@pytest.mark.parametrize(
-    ("policy", "world"),
-    [
-        pytest.param(policy, world, marks=[pytest.mark.slow] * ((policy, world) in SLOW))
-        for policy in ("none", "attention", "priority", "whittle")
-        for world in ("people", "model")
-    ],
-)
+@pytest.mark.parametrize("policy", ["attention", *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
+@pytest.mark.parametrize("world", ["people", "model"])
 def test_with_all_states_episodes_are_those_of_the_whole_task(policy: str, world: Any) -> None:
     whole, part = pools(three_goals("tiny"), SETTING)
     assert isinstance(part.policies[0], TruncatedPolicy)
@@ -129,7 +121,7 @@ def test_a_trace_has_the_same_goals_and_reasons() -> None:
     for pool in pools(goals, SETTING):
         trace: list[dict[str, Any]] = []
         reasons = TraceReasons(pool.policies, goals)
-        simulate(pool, "priority", humans=2, episodes=16, seed=3, trace=trace, reasons=reasons)
+        simulate(pool, "priority", humans=2, episodes=6, seed=3, trace=trace, reasons=reasons)
         traces.append(trace)
     for whole, part in zip(*traces, strict=True):
         assert whole.pop("explanation", {}).get("text") == part.pop("explanation", {}).get("text")
@@ -257,7 +249,7 @@ def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.Monk
     assert all(isinstance(part.policies[0], TruncatedPolicy) for part in parts)
     found = [simulate(pool, policy, **OPTIONS) for pool in (whole, *parts)]
     assert equal(*found[:2])
-    assert all(one.questions is not None and one.questions.sum() > 20 for one in found)
+    assert all(one.questions is not None and one.questions.sum() > 7 for one in found)
 
 
 def test_a_live_robot_asks_about_goals_of_a_large_task(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,21 +270,21 @@ def test_a_live_robot_asks_about_goals_of_a_large_task(monkeypatch: pytest.Monke
     assert any(question for _, question in said[0])
 
 
-@pytest.mark.parametrize("knowledge", [pytest.param("own", marks=pytest.mark.slow), "exact"])
-def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any) -> None:
+@pytest.mark.parametrize(
+    ("knowledge", "region"), thinned([("exact", 2), ("exact", EVERYTHING), ("own", 2), ("own", EVERYTHING)], 4)
+)
+def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any, region: int) -> None:
     """It is at least that on all states, whose robot is told the goals as well, and above what policies reach."""
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge, gamma=0.9)
     goals = three_goals("tiny")
     whole = Pool.sample(goals, 2, seed=1, setting=setting)
     exact = upper_bound(whole, gap=0.05)
     least = exact.upper - exact.slack
-    for region in (2, EVERYTHING):
-        part = Pool.sample(goals, 2, seed=1, setting=setting, states=1, region=region)
-        found = upper_bound(part, gap=0.05)
-        assert found.upper >= least - 1e-6
-        value = found.certify("priority", episodes=200, seed=2)
-        assert value.value - 4 * value.value_stderr <= found.upper
-    assert found.upper <= exact.upper + 0.5
+    found = upper_bound(Pool.sample(goals, 2, seed=1, setting=setting, states=1, region=region), gap=0.05)
+    assert found.upper >= least - 1e-6
+    value = found.certify("priority", episodes=200, seed=2)
+    assert value.value - 4 * value.value_stderr <= found.upper
+    assert region == 2 or found.upper <= exact.upper + 0.5
 
 
 def test_a_problem_has_as_many_states_as_a_solver_can_keep() -> None:

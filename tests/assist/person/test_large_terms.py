@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, table_of, thinned
+from conftest import kit, thinned
 
 from assist.certify import upper_bound
 from assist.certify.options import BoundOptions
@@ -18,16 +18,12 @@ from assist.people.memory_on_demand import Remembering
 from assist.people.terms import TERMS
 from assist.person import PersonProblem, Setting, person_problem, solve
 from assist.team import Pool, simulate
-from planner import Instance, OnDemand, Table
+from planner import OnDemand, Table
 
 EVERYTHING = 10**6  # states of a region
 HABITS = Population(
     weights={"goals": (0.2, 0.6), "arguments": (0.5, 1.5), "name": (0.1, 0.4), "back": (-1.0, -0.5)}
 )  # fmt: skip
-
-
-def sealed() -> Table:
-    return table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl"))
 
 
 def pools(table: Table, monkeypatch: pytest.MonkeyPatch, **options: Any) -> tuple[Pool, Pool]:
@@ -58,13 +54,13 @@ def test_pairs_are_those_of_the_enumerated_task(tiny: Table) -> None:
     assert pairs.numbers(pairs.values([pairs.initial])).tolist() == [pairs.initial]
 
 
-@pytest.mark.parametrize("knowledge", ["own", "exact"])
+@pytest.mark.parametrize("knowledge", thinned(["own", "exact"]))
 @pytest.mark.parametrize("prior", thinned([None, Population()]))
 def test_episodes_with_terms_are_those_of_the_whole_task(prior: Any, knowledge: Any, monkeypatch: Any) -> None:
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge)
-    both = pools(sealed(), monkeypatch, setting=setting, prior=prior)
+    both = pools(kit("sealed"), monkeypatch, setting=setting, prior=prior)
     for policy in ("none", "reactive", "attention", "priority"):
-        one, other = (simulate(pool, policy, humans=2, episodes=32, seed=3) for pool in both)
+        one, other = (simulate(pool, policy, humans=2, episodes=16, seed=3) for pool in both)
         np.testing.assert_array_equal(one.actions, other.actions)
         np.testing.assert_allclose(one.discounted_return, other.discounted_return, rtol=0, atol=1e-9)
         assert (policy == "none") == (not one.interventions.any())
@@ -73,7 +69,7 @@ def test_episodes_with_terms_are_those_of_the_whole_task(prior: Any, knowledge: 
 def test_values_with_terms_are_those_of_the_whole_task(monkeypatch: pytest.MonkeyPatch) -> None:
     """Q-values along random walks, to 1e-9, and probabilities of choices and effects on trust to rounding."""
     setting, rng = Setting(c_suggest=0.1, suggestions="all"), Random(5)
-    whole, part = (pool.policies[0] for pool in pools(sealed(), monkeypatch, setting=setting))
+    whole, part = (pool.policies[0] for pool in pools(kit("sealed"), monkeypatch, setting=setting))
     every, compared = whole.pomdp.model.choices, 0
     for _ in range(12):
         row, place = every.initial, part.problem.task.initial
@@ -99,7 +95,7 @@ def test_values_with_terms_are_those_of_the_whole_task(monkeypatch: pytest.Monke
 
 def test_a_small_part_is_nearly_as_good(monkeypatch: pytest.MonkeyPatch) -> None:
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge="exact")
-    whole, part = pools(sealed(), monkeypatch, setting=setting, region=60)
+    whole, part = pools(kit("sealed"), monkeypatch, setting=setting, region=60)
     none, best, found = (
         simulate(pool, policy, humans=2, episodes=200, seed=4).discounted_return.mean()
         for pool, policy in ((whole, "none"), (whole, "attention"), (part, "attention"))

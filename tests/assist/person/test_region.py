@@ -41,14 +41,15 @@ def whole(table: Table) -> AssistPOMDP:
     return AssistPOMDP.of(HumanModel.exact(Choices.of(table)), **SETTING)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("instance", thinned([*INSTANCES.values(), WAYS], 3), ids=["fixed", "dead ends", "costs"])
+@pytest.mark.slow
+@pytest.mark.parametrize("instance", [*INSTANCES.values(), WAYS], ids=["fixed", "dead ends", "costs"])
 def test_a_parts_bounds_hold_for_the_whole(instance: Instance) -> None:
     table = table_of(instance)
-    exact = solve(whole(table), gap=1e-2)
+    exact = solve(whole(table), gap=5e-2)
     widths = []
     for states in (5, 60, 10_000):
         part = TruncatedTask.of(table, states=states)
-        bounds = solve(closed_problem(part, Assumptions(**SETTING)), gap=1e-2)  # type: ignore[arg-type]
+        bounds = solve(closed_problem(part, Assumptions(**SETTING)), gap=5e-2)  # type: ignore[arg-type]
         assert bounds.lower <= exact.upper
         assert exact.lower <= bounds.upper
         assert bounds.value_never <= exact.upper
@@ -57,25 +58,7 @@ def test_a_parts_bounds_hold_for_the_whole(instance: Instance) -> None:
     assert len(part.choices) == len(table)
     assert widths[-1] < widths[0]
     assert exact.stopped == bounds.stopped == "gap"
-    assert abs(bounds.lower - exact.lower) <= 1e-2 * abs(exact.lower)
-
-
-@pytest.mark.parametrize("instance", [*INSTANCES.values(), WAYS], ids=["fixed", "dead ends", "costs"])
-def test_bounds_on_the_frontier_hold_in_each_of_its_states(instance: Instance) -> None:
-    """The upper bound holds against the MDP value for all beta and theta. The lower bound holds against it too, and, at
-    certain beliefs, against the solver's bound of that state.
-    """
-    table = table_of(instance)
-    problem = whole(table)
-    best = qmdp(problem)
-    for states in (5, 60):
-        part = TruncatedTask.of(table, states=states)
-        frontier = closed_problem(part, Assumptions(**SETTING)).frontier  # type: ignore[arg-type]
-        assert frontier is not None
-        assert len(frontier.states) == len(part.frontier) > 0
-        value = best.value_mdp[part.states[part.frontier]]
-        assert (value <= frontier.upper + 1e-9).all()
-        assert (value >= frontier.lower - 1e-9).all()
+    assert abs(bounds.lower - exact.lower) <= 5e-2 * abs(exact.lower)
 
 
 def test_a_part_has_the_choices_of_the_task() -> None:
@@ -96,14 +79,6 @@ def test_a_part_has_the_choices_of_the_task() -> None:
     outside = np.setdiff1d(np.arange(len(table)), part.states)
     assert (part.local(outside) == -1).all()
     assert part.local(np.array([len(table), part.states[0]])).tolist() == [-1, 0]  # a number beyond all of them
-
-
-def test_a_part_numbers_its_states_as_it_met_them() -> None:
-    part = TruncatedTask.of(table_of(INSTANCES["paper-fixed"]), states=10)
-    assert part.states[0] == part.known.initial
-    assert part.local(part.states[::-1]).tolist() == list(range(len(part.states)))[::-1]
-    last = int(part.states.max())
-    assert part.local(np.array([last, last + 1])).tolist() == [int(part.states.argmax()), -1]
 
 
 def looked_at(table: Table, human: Human | None = None) -> list[int]:
@@ -220,9 +195,9 @@ def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
     ours, theirs = TruncatedTask.of(table, states=20), TruncatedTask.of(asked, states=20)
     values = {tuple(row) for row in table.values(ours.states).tolist()}
     assert values == {tuple(row) for row in asked.values(theirs.states).tolist()}
-    known, unknown = (solve(closed_problem(r, Assumptions(**SETTING)), gap=2e-2) for r in (ours, theirs))  # type: ignore[arg-type]
+    known, unknown = (solve(closed_problem(r, Assumptions(**SETTING)), gap=0.1) for r in (ours, theirs))  # type: ignore[arg-type]
     assert unknown.lower <= known.lower + 1e-9
-    assert unknown.upper == pytest.approx(known.upper, rel=2e-2)
+    assert unknown.upper == pytest.approx(known.upper, rel=0.1)
     assert unknown.upper >= known.lower
 
 
@@ -257,13 +232,13 @@ def test_nothing_is_executed_where_a_problem_breaks_off() -> None:
     assert inside
 
 
-@pytest.mark.parametrize("c_execute", [0.0, 0.7, 3.0])
+@pytest.mark.parametrize("c_execute", thinned([0.7, 0.0, 3.0], 3))
 @pytest.mark.parametrize("instance", [*INSTANCES.values(), WAYS], ids=["fixed", "dead ends", "costs"])
 def test_a_parts_bounds_hold_where_robots_execute(instance: Instance, c_execute: float) -> None:
     table, robot = table_of(instance), OfRobots(c_suggest=0.3, execute=True, c_execute=c_execute)
     exact = qmdp(AssistPOMDP.of(HumanModel.exact(Choices.of(table)), gamma=0.97, robot=robot)).value_mdp
     begin, gaps = Choices.of(table).initial, []
-    for states in (1, 5, 20, 60, 10_000):
+    for states in (1, 20, 10_000):
         part = TruncatedTask.of(table, states=states)
         problem = closed_problem(part, Assumptions(gamma=0.97, robot=robot))
         rows = np.flatnonzero(part.states >= 0)
@@ -280,7 +255,7 @@ def test_a_parts_bounds_hold_where_robots_execute(instance: Instance, c_execute:
     assert sorted(gaps, reverse=True) == pytest.approx(gaps, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", ["tiny", "sealed"])
+@pytest.mark.parametrize("name", thinned(["tiny", "sealed"]))
 def test_an_interval_of_a_part_has_the_value_of_the_whole_where_robots_execute(name: str) -> None:
     table = kit(name)
     setting = Setting(gamma=0.9, c_suggest=0.3, execute=True, c_execute=0.4)
@@ -362,7 +337,7 @@ def test_another_file_is_no_solution(tmp_path: Path) -> None:
 def test_the_command_takes_robots_that_execute_on_a_part_of_a_task(tmp_path: Path) -> None:
     out = tmp_path / "policy.npz"
     size = ("--set", "region_states=20", "--set", "execute=true")
-    done = invoke("policy", KITTING / "paper.pddl", *size, "--time-limit", 2, "--out", out, "--json")
+    done = invoke("policy", KITTING / "paper.pddl", *size, "--time-limit", 0.5, "--out", out, "--json")
     assert (done.exit_code, done.stderr) == (0, "")
     record = json.loads(done.stdout)
     assert record["lower"] <= record["upper"]
@@ -398,7 +373,7 @@ def test_the_command_gives_bounds_and_a_file(tmp_path: Path) -> None:
 
 
 def test_the_command_cuts_down_what_is_too_large() -> None:
-    done = invoke("policy", KITTING / "paper.pddl", "--set", "region_states=50", "--time-limit", 1)
+    done = invoke("policy", KITTING / "paper.pddl", "--set", "region_states=50", "--time-limit", 0.3)
     assert done.exit_code == 0
     assert "frontier states" in done.stdout
     asked = invoke("policy", KITTING / "tiny.pddl", "--set", "max_states=5", "--time-limit", 5, "--json")

@@ -49,27 +49,6 @@ def test_upper_bound_is_the_convex_hull(name: str, seed: int) -> None:
     np.testing.assert_allclose(solution.upper_bound(x, belief), least, rtol=1e-7, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", NAMES)
-@few
-@given(seed=seeds)
-def test_upper_bound_is_convex(name: str, seed: int) -> None:
-    solution = solution_of(name)
-    x, one = some_beliefs(solution, seed)
-    rng = np.random.default_rng(seed)
-    other = some_beliefs(solution, seed + 1)[1]
-    for i in np.flatnonzero(rng.random(len(x)) < 0.7):  # the bound is most curved between the state's own points
-        point = of_state(solution, x[i])[1]
-        if len(point):
-            other[i] = (rng.dirichlet(np.full(len(point), 0.1)) @ point).reshape(other[i].shape)
-    share = rng.random((len(x), 1, 1))
-    mixture = share * one + (1 - share) * other
-    upper = solution.upper_bound(x, mixture)
-    ends = share[:, 0, 0] * solution.upper_bound(x, one) + (1 - share[:, 0, 0]) * solution.upper_bound(x, other)
-    size = 1e-9 * np.abs(upper)
-    assert (upper <= ends + size).all()
-    assert (solution.value(x, mixture) <= upper + size).all()
-
-
 @few
 @given(seed=seeds)
 def test_upper_bound_holds_wherever_the_pivots_end(seed: int) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, table_of
+from conftest import kit, thinned
 
 from assist.certify.information_relaxation.belief_nodes import BeliefNodes
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
@@ -34,7 +34,7 @@ from assist.team.schedule import Schedule
 from assist.team.simulate import simulate
 from assist.team.state import TeamAction, TeamState
 from assist.team.trace import Trace
-from planner import CostToGo, Instance, OnDemand, Table
+from planner import CostToGo, OnDemand, Table
 
 EVERYTHING = 10**6  # states of a region
 SIGHT = Setting(c_suggest=0.2, observation=ObservationModel(0.1, 0.1))
@@ -78,7 +78,7 @@ WAYS: list[tuple[Any, dict[str, Any]]] = [
 CASES = [
     pytest.param(task, *way, marks=[] if way in quick else [pytest.mark.slow])
     for task, quick in (
-        ("sealed", [WAYS[1], *WAYS[4:6], WAYS[8], WAYS[10], WAYS[12]]),
+        ("sealed", [*WAYS[4:6], WAYS[8], WAYS[10]]),
         ("costs/ways", [WAYS[2]]),
     )
     for way in WAYS
@@ -88,31 +88,9 @@ CASES = [
 @pytest.mark.parametrize(("task", "policy", "options"), CASES)
 def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dict[str, Any]) -> None:
     """The same people with the same random numbers act equally, in tasks with dead ends and with free actions."""
-    table = table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
+    table = kit(task)
     whole = episodes(table, policy, states=len(table), **options)
     assert_same(whole, episodes(table, policy, states=len(table) - 1, region=EVERYTHING, **options))
-
-
-def test_policies_answer_without_being_solved(tiny: Table) -> None:
-    whole, part = Pool.sample(tiny, 2, seed=1).policies[0], Pool.sample(tiny, 2, seed=1, states=0).policies[0]
-    assert (whole.problem.region, part.problem.region) == (None, part.ground.size)
-    assert whole.problem.cheapest == part.problem.cheapest == 1
-    assert whole.problem.task.initial == part.problem.task.initial
-    assert not whole._solved  # type: ignore[attr-defined]
-    assert not part.solved  # type: ignore[attr-defined]
-    assert "region" not in vars(part)
-
-
-def test_the_next_step_is_the_same_by_either_policy(tiny: Table) -> None:
-    whole, part = Pool.sample(tiny, 2, seed=1).policies[0], Pool.sample(tiny, 2, seed=1, states=0).policies[0]
-    states = np.array([tiny.initial, *np.flatnonzero(tiny.h == 2)[:3]])
-    states.sort()
-    for policy in (whole, part):
-        rows = policy.rows(states)
-        belief = np.repeat(policy.pomdp.prior[None], len(states), axis=0)
-        np.testing.assert_allclose(policy.q_values(rows, belief), whole.q_values(states, belief), atol=0.01)
-        np.testing.assert_array_equal(policy.places(rows), states)
-    assert rows.tolist() == part.rows(states).tolist() != states.tolist()
 
 
 @pytest.mark.parametrize(
@@ -128,7 +106,7 @@ def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge
     setting = Setting(
         execute=True, c_suggest=0.3, c_execute=0.5, c_move=0.1, suggestions=suggestions, knowledge=knowledge
     )
-    table, rng = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl")), Random(1)
+    table, rng = kit("sealed"), Random(1)
     whole = Pool.sample(table, 3, seed=1, setting=setting)
     monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 1)
     monkeypatch.setattr(shared_task, "ROWS", 300)
@@ -142,13 +120,13 @@ def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge
         assert not np.isfinite(expected[:, shown:]).any()
         np.testing.assert_allclose(found, expected[:, :shown], rtol=0, atol=1e-9)
     for policy in ("none", "reactive", "attention", "priority"):
-        runs = [simulate(pool, policy, humans=2, episodes=64, seed=3) for pool in (whole, part)]
-        assert_same(*runs, 64)
+        runs = [simulate(pool, policy, humans=2, episodes=16, seed=3) for pool in (whole, part)]
+        assert_same(*runs, 16)
         np.testing.assert_array_equal(runs[0].executed, runs[1].executed)
         assert (policy in ("none", "reactive")) == (not runs[0].executed.any())
     cut = Pool.sample(table, 3, seed=1, setting=setting, region=40)
     none, best, near = (
-        simulate(pool, policy, humans=2, episodes=200, seed=4).discounted_return.mean()
+        simulate(pool, policy, humans=2, episodes=100, seed=4).discounted_return.mean()
         for pool, policy in ((cut, "none"), (whole, "attention"), (cut, "attention"))
     )
     assert near - none > 0.8 * (best - none) > 0
@@ -158,11 +136,13 @@ def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge
     assert above > exact - 0.02
 
 
-@pytest.mark.parametrize("travel_time", [0, 2])
-@pytest.mark.parametrize(("task", "error"), [("tiny", 1e-9), ("sealed", 1e-6)])  # the larger one is solved to 1e-6
+@pytest.mark.parametrize(
+    ("task", "error", "travel_time"),  # the larger one is solved to 1e-6
+    thinned([("tiny", 1e-9, 2), ("tiny", 1e-9, 0), ("sealed", 1e-6, 0), ("sealed", 1e-6, 2)]),
+)
 def test_prices_of_steps_on_rows_are_those_on_the_whole_task(task: str, error: float, travel_time: int) -> None:
     """At each step, for each position of the robot, in all states that are reachable by then."""
-    table = table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
+    table = kit(task)
     setting, price = Setting(c_suggest=0.1, travel_time=travel_time), np.array([0.4, 0.0, 0.7, 0.2])
     whole, part = (
         Pool.sample(table, 1, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(table), 0)
@@ -187,7 +167,7 @@ def test_prices_of_steps_on_rows_are_those_on_the_whole_task(task: str, error: f
     assert_same(*runs)
 
 
-@pytest.mark.parametrize("policy", ["none", "reactive", "attention", "priority"])
+@pytest.mark.parametrize("policy", thinned(["attention", "none", "priority", "reactive"]))
 def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny: Table, monkeypatch: Any) -> None:
     monkeypatch.setattr(shared_task, "ROWS", 30)
     setting = Setting(c_suggest=0.1, knowledge="exact", trust="outcome")
@@ -205,7 +185,7 @@ def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny
 def test_suggestions_after_which_choices_were_forgotten_are_heard_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A row may stay while the choices after its suggestions are evicted; people act as on the whole task then, too."""
     monkeypatch.setattr(shared_task, "ROWS", 200)
-    table = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl"))
+    table = kit("sealed")
     whole, part = (Pool.sample(table, 3, seed=1, states=states, region=EVERYTHING) for states in (len(table), 0))
     for policy in ("none", "reactive"):
         assert_same(*(simulate(pool, policy, humans=2, episodes=100, seed=3) for pool in (whole, part)), 100)
@@ -214,7 +194,7 @@ def test_suggestions_after_which_choices_were_forgotten_are_heard_again(monkeypa
 def test_states_that_are_possible_keep_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beliefs over states are those on the whole task, although rows are evicted between the steps."""
     monkeypatch.setattr(shared_task, "ROWS", 60)
-    table = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl"))
+    table = kit("sealed")
     setting = replace(SIGHT, knowledge="exact")
     whole, part = (
         Pool.sample(table, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(table), 0)
@@ -415,15 +395,6 @@ def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPa
     assert run.mean() - 4 * error < means[1] < means[0] - 0.05 < proven - 0.05
 
 
-def test_what_is_around_takes_memory_and_is_kept_if_wanted(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, hidden=3))
-    pool = Pool.sample(tiny, 2, seed=0, states=5)
-    travel = pool.setting.travel(2)
-    assert all(kind.problem.outer is None for kind in kinds_of(pool, (0, 1), travel, 0))
-    kinds = kinds_of(pool, (0, 1), travel, 0, with_outer=True)
-    assert all(kind.problem.outer is not None and kind.problem.outer.nbytes > 10_000 for kind in kinds)
-
-
 def silent(pomdp: AssistPOMDP) -> QMDP:
     """A robot for which every suggestion is dearer than anything."""
     costs = pomdp.robot_costs.copy()
@@ -431,7 +402,7 @@ def silent(pomdp: AssistPOMDP) -> QMDP:
     return qmdp(replace(pomdp, robot_costs=costs))
 
 
-@pytest.mark.parametrize("knowledge", ["exact", "own"])
+@pytest.mark.parametrize("knowledge", thinned(["exact", "own"]))
 def test_a_solver_of_ones_own_acts_in_the_states_of_a_truncated_task(tiny: Table, knowledge: Any) -> None:
     """With all states its policy is that on the whole task; with few, suggestions are made beyond its states only."""
     setting = Setting(c_suggest=0.05, c_move=0.05, gamma=0.9, knowledge=knowledge)
