@@ -19,7 +19,6 @@ from assist.people.decision import NOTHING, choice, influence, lapse, perceived_
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.ranges import Population
-from assist.people.weighted_choice import Weighted
 from assist.person.travel import Travel
 from planner import Table, load, sweep
 
@@ -71,16 +70,6 @@ def test_values_by_hand_on_the_tiny_kit(tiny: Table, tiny_choices: Choices) -> N
     goal = c.targets[last, np.flatnonzero(c.optimal[last])[0]]
     assert c.goal[goal]
     assert trust(0.5, value[last], value[goal], 0.2) == pytest.approx(0.7)
-
-
-def test_optimal_slots_of_the_tiny_kit(tiny: Table, tiny_choices: Choices) -> None:
-    c = tiny_choices
-    x = tiny.space.follow(["(fetch box-a)"])
-    assert [c.name(x, s) for s in np.flatnonzero(c.optimal[x])] == ["(place hammer slot-1 box-a)"]
-    assert sorted(c.name(c.initial, s) for s in np.flatnonzero(c.optimal[c.initial])) == [
-        "(fetch box-a)",
-        "(fetch box-b)",
-    ]
 
 
 def test_beta_zero_is_uniform_even_towards_dead_ends() -> None:
@@ -258,21 +247,6 @@ def test_ranges_may_be_a_point_and_reach_their_ends(tiny_choices: Choices) -> No
     np.testing.assert_array_equal(one.h, tiny_choices.h)
 
 
-def test_weights_are_drawn_from_their_ranges_and_change_nothing_else(tiny_choices: Choices) -> None:
-    ranges = {"goals": (1, 1), "name": (-MOST, MOST)}
-    population = Population(weights=ranges)
-    plain = Population().sample(tiny_choices, 3, np.random.default_rng(5))
-    people = population.sample(tiny_choices, 3, np.random.default_rng(5))
-    for person, other in zip(people, plain, strict=True):
-        assert (person.beta, person.theta, person.sigma) == (other.beta, other.theta, other.sigma)
-        assert other.chooses is boltzmann
-        assert isinstance(person.chooses, Weighted)
-        assert person.weights["goals"] == 1.0
-    assert len({person.weights["name"] for person in people}) == 3
-    assert population.typical.weights == {"goals": 1.0, "name": 0.0}  # type: ignore[union-attr]
-    assert Population().typical is boltzmann
-
-
 def test_a_population_as_plain_data() -> None:
     ranges = {"beta": [0.0, 3.0], "theta": [0.5, 0.95], "sigma": [0.1, 1.0], "noise": "state"}
     whole = Population(beta=(0, 3))
@@ -304,12 +278,6 @@ def test_the_range_of_each_parameter_of_a_person(name: str, value: float, accept
     else:
         with pytest.raises(ValueError, match=name):
             Human(**known, h=np.zeros(2))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("h", [np.array([1.0, np.nan]), np.array([[np.nan]]), np.zeros((1, 1, 1)), np.array(0.0)])
-def test_perceived_costs_have_a_number_for_each_state_or_choice(h: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="expected a number for each state, or for each choice in it"):
-        Human(1.0, 0.5, 0.0, h)
 
 
 def test_trust_reaches_the_ends_of_its_parameters(tiny_choices: Choices) -> None:

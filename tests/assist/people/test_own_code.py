@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import ROOT
+from conftest import ROOT, thinned
 
 import assist
 from assist.cli import main
@@ -30,10 +30,6 @@ def only(found: Any, what: str) -> str:
     told = {trial.what: trial.fault for trial in found.trials}
     assert told[what] is not None, str(found)
     return str(told[what])
-
-
-def nobody(team: Any) -> Any:
-    return team.act(np.full(team.location.shape, -1), team.first_optimal())
 
 
 def in_every_form(team: Any) -> Any:
@@ -64,7 +60,7 @@ def test_a_policy_that_uses_beliefs_and_an_assignment_passes_everywhere() -> Non
 @pytest.mark.usefixtures("one_situation")
 def test_other_policies_pass() -> None:
     shipped = named("none", [], assist.Pool.sample("kitting/tiny", 1, seed=0).setting.travel(1))
-    for policy in (nobody, f"{EXAMPLES / 'policies.py'}:furthest_first", shipped):
+    for policy in (f"{EXAMPLES / 'policies.py'}:furthest_first", shipped):
         found = assist.check(policy, "policy")
         assert (found.kind, found.faults, len(found.trials)) == ("policy", (), 2), str(found)
 
@@ -178,7 +174,7 @@ def test_what_is_wrong_with_a_choice_model(model: Callable[..., Any], said: str)
     assert said in only(assist.check(model), "probabilities of all choices")
 
 
-@pytest.mark.parametrize("rule", [EquationSeven(), LogitSteps(0.1, 0.5, 1.0), Reliability()])
+@pytest.mark.parametrize("rule", thinned([LogitSteps(0.1, 0.5, 1.0), EquationSeven(), Reliability()], 3))
 def test_shipped_trust_rules_pass(rule: Any) -> None:
     found = assist.check(rule)
     assert (found.kind, found.faults) == ("trust", ()), str(found)
