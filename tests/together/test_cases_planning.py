@@ -202,7 +202,7 @@ def test_a_type_and_a_predicate_of_one_name_are_said_once(tmp_path: Path) -> Non
     for name in ("one", "other", "third"):
         (tmp_path / name).mkdir()
         write_instance(tmp_path / name, *texts)
-    done = invoke("solve", tmp_path, "--verify", 1)
+    done = invoke("solve", tmp_path, "--verify", 1, "--jobs", 1)
     assert (done.exit_code, done.stdout.count(" solved ")) == (0, 3)
     lines = done.stderr.splitlines()
     assert len(lines) == 2, done.stderr
@@ -276,6 +276,7 @@ def test_a_folder_is_a_line_for_each_instance_in_order_of_completion(capsys: pyt
     assert capsys.readouterr() == ("", "2 other instances: read by a\n1 other instance: so said\n")
 
 
+@pytest.mark.slow
 def test_lines_come_before_the_last_instance_is_done(tmp_path: Path) -> None:
     hard = tmp_path / "z.pddl"
     hard.write_text((KITTING / "ladder-6x12.pddl").read_text())
@@ -318,6 +319,7 @@ def test_what_is_nested_too_deep_is_refused_with_its_line(tmp_path: Path) -> Non
     assert error.value.line == 5
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no fork that is safe")
 def test_a_kill_for_lack_of_memory_leaves_a_record(tmp_path: Path) -> None:
     """The fork that solves a single instance is killed while all states are being computed."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import log
 
 import numpy as np
-from conftest import graph_task
-from hypothesis import HealthCheck, example, given, settings
+from conftest import costly, graph_task
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -38,7 +38,7 @@ people = st.fixed_dictionaries(
     }
 )
 ends = st.one_of(st.sampled_from([0.0, 0.5, 1.0]), st.floats(0, 1))
-examples = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+examples = costly(12, 60)
 
 
 def problem_of(drawn: list[tuple[int, int, int]], person: dict[str, float], sigma: float) -> AssistPOMDP:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import invoke
+from conftest import invoke, thinned
 
 from assist.connect.observed import Observed
 from assist.people import HumanModel
@@ -19,7 +19,7 @@ SHIPPED = {"stock/one-bin": 3.0, "timed/one-part": 2.0}
 """Their smallest problems, and the optimal costs: actions, and minutes."""
 
 
-@pytest.fixture(params=SHIPPED)
+@pytest.fixture(params=thinned(SHIPPED))
 def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 

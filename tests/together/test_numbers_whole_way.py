@@ -376,15 +376,12 @@ def test_a_decimal_cost_gives_the_people_of_its_fraction(tmp_path_factory: Any, 
     assert equal(*(run(pool, "attention", 2, 4, 1) for pool in pools))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "first", "before", "after"),
     [
         ("stock/refill", ["(pick bolt bin-bolt tray-1)"], "parts = 4 of 6", "parts = 3 of 6"),
-        pytest.param(
-            "timed/two-parts", ["(walk bench dock)", "(recharge)"], "charge = 1 of 2", "charge = 2 of 2",
-            marks=pytest.mark.slow,
-        ),
+        ("timed/two-parts", ["(walk bench dock)", "(recharge)"], "charge = 1 of 2", "charge = 2 of 2"),
     ],
 )  # fmt: skip
 def test_two_people_in_a_browser(tmp_path: Path, name: str, first: list[str], before: str, after: str) -> None:
