@@ -155,12 +155,8 @@ def costly(quick: int, thorough: int) -> settings:
 
 
 def thinned(values: Iterable[Any], every: int = 2) -> list[Any]:
-    """Return parameters of a test: `make test` runs the first and every `every`-th after it; the others are `slow`.
-
-    A tuple has the values of several parameters.
-    """
-    rows = [value if isinstance(value, tuple) else (value,) for value in values]
-    return [pytest.param(*row, marks=[pytest.mark.slow] * (k % every > 0)) for k, row in enumerate(rows)]
+    """Return parameters of a test: `make test` runs the first and every `every`-th after it; the others are `slow`."""
+    return [pytest.param(value, marks=[pytest.mark.slow] * (k % every > 0)) for k, value in enumerate(values)]
 
 
 @cache

@@ -49,7 +49,7 @@ from unified_planning.model.metrics import (
 from unified_planning.model.walkers import StateEvaluator
 from unified_planning.shortcuts import GE, TRUE, BoolType, Equals, Int, IntType, Not, Plus, Real, RealType, UserType
 
-from planner import PDDLError, astar, cost_to_go, load, sweep
+from planner import PDDLError, astar, load, sweep
 from planner.engine import Engine
 from planner.pddl.built_problems import SUPPORTED
 
@@ -357,23 +357,6 @@ def test_a_number_that_grows_for_ever_is_refused_by_name() -> None:
     assert result.log_messages[0].message.startswith("counter: (n) grows without a limit (double)")
 
 
-def test_two_effects_on_one_number_count_together() -> None:
-    place = UserType("Bin")
-    parts = Fluent("parts", IntType(0, 2), b=place)
-    problem = Problem("sorting")
-    bins = [problem.add_object(f"bin{n}", place) for n in range(2)]
-    problem.add_fluent(parts, default_initial_value=1)
-    sort = InstantaneousAction("sort", a=place, b=place)
-    sort.add_decrease_effect(parts(sort.a), 1)
-    sort.add_increase_effect(parts(sort.b), 2)
-    problem.add_action(sort)
-    problem.add_goal(Equals(parts(bins[1]), 2))
-    table = sweep(load(problem))
-    applicable = [table.task.actions[action] for action in table.choices([table.initial]).actions]
-    assert applicable == ["(sort bin0 bin0)", "(sort bin1 bin1)"]  # into the other bin, 2 more are too many
-    assert table.optimal_plan() == ["(sort bin1 bin1)"]
-
-
 def cell() -> tuple[Problem, DurativeAction, InstantaneousAction]:
     """Return a problem in which parts are made in time, and shipped at once."""
     problem = Problem("cell")
@@ -405,27 +388,6 @@ def test_a_temporal_plan_is_one_action_after_the_other(epsilon: Fraction | None)
         "no metric: the cost is the sum of durations; the least duration is taken for make"
     ]
     assert astar(load(problem))[0] == 3.5  # an action without a duration costs 1 where there is no metric
-
-
-def test_what_needs_two_actions_at_once_has_no_plan_here() -> None:
-    problem = Problem("match")
-    light, done = (Fluent(name, BoolType()) for name in ("light", "done"))
-    for fluent in (light, done):
-        problem.add_fluent(fluent, default_initial_value=False)
-    strike, mend = DurativeAction("strike"), DurativeAction("mend")
-    strike.set_fixed_duration(2)
-    strike.add_effect(StartTiming(), light, True)
-    strike.add_effect(EndTiming(), light, False)
-    mend.set_fixed_duration(1)
-    mend.add_condition(OpenTimeInterval(StartTiming(), EndTiming()), light)
-    mend.add_effect(EndTiming(), done, True)
-    problem.add_actions([strike, mend])
-    problem.add_goal(done)
-    result = Engine()._solve(problem)
-    assert (result.status, result.plan) == (Status.UNSOLVABLE_INCOMPLETELY, None)
-    assert result.log_messages[-1].message == "no plan for one person who acts in sequence"
-    answers = cost_to_go(load(problem))
-    assert answers.lookup([answers.initial]) == [math.inf]
 
 
 def metric_of(expression: Callable[[Fluent], Any]) -> tuple[Problem, Fluent]:

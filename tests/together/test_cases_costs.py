@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import graph_task, invoke, write_instance
+from conftest import graph_task, invoke, thinned
+from test_cases import Case
 
 from assist.certify.priced_steps import plan_length, window_of
 from assist.people.choices import Choices
@@ -56,42 +57,19 @@ def test_the_length_of_a_plan_is_its_smallest_number_of_actions() -> None:
     assert plan_length(free, int(np.flatnonzero(np.isinf(free.h))[0])) == np.inf
 
 
-PACKING = """(define (domain packing)
-  (:requirements :strips :typing :action-costs)
-  (:types part bin - object)
-  (:predicates (in ?p - part ?b - bin) (held ?p - part) (free) (here ?b - bin) (path ?a ?b - bin))
-  (:functions (total-cost) - number)
-  (:action go :parameters (?a ?b - bin) :precondition (and (here ?a) (path ?a ?b))
-    :effect (and (not (here ?a)) (here ?b) (increase (total-cost) GO)))
-  (:action pick :parameters (?p - part ?b - bin) :precondition (and (here ?b) (in ?p ?b) (free))
-    :effect (and (held ?p) (not (in ?p ?b)) (not (free)) (increase (total-cost) 1)))
-  (:action put :parameters (?p - part ?b - bin) :precondition (and (here ?b) (held ?p))
-    :effect (and (in ?p ?b) (free) (not (held ?p)) (increase (total-cost) 2))))
-"""
-PACKED = """(define (problem p) (:domain packing)
-  (:objects bolt nut - part shelf kit - bin)
-  (:init (free) (here shelf) (path shelf kit) (path kit shelf) (in bolt shelf) (in nut shelf) (= (total-cost) 0))
-  (:goal (and (in bolt kit) (in nut kit)))
-  (:metric minimize (total-cost)))
-"""
-
-
 @pytest.fixture(scope="module")
 def compiled_code(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Compilation, once after an installation, is in no limit of time."""
-    write_instance(folder := tmp_path_factory.mktemp("usual"), PACKING.replace("GO", "3"), PACKED)
-    invoke("bound", folder / "problem.pddl", "--humans", 2, "--time-limit", 1, "--value-episodes", 2)
+    problem = Case(go="3").write(tmp_path_factory.mktemp("usual"))
+    invoke("bound", problem, "--humans", 2, "--time-limit", 1, "--value-episodes", 2)
 
 
 @pytest.mark.usefixtures("compiled_code")
-@pytest.mark.parametrize(
-    ("cost", "problem"),
-    [pytest.param(10**9, PACKED, marks=pytest.mark.slow), (10**12, PACKED.replace(" (= (total-cost) 0)", ""))],
-)
-def test_costs_of_very_different_size_are_bounded_and_simulated(tmp_path: Path, cost: int, problem: str) -> None:
+@pytest.mark.parametrize("case", thinned([Case((("(= (total-cost) 0)", ""),), go=f"{10**12}"), Case(go=f"{10**9}")]))
+def test_costs_of_very_different_size_are_bounded_and_simulated(tmp_path: Path, case: Case) -> None:
     """Memory and time do not grow with the ratio of costs; a limit is kept in time of this process, as others work."""
-    write_instance(tmp_path, PACKING.replace("GO", str(cost)), problem)
-    begun, limit, team = time.process_time(), 15, (tmp_path / "problem.pddl", "--humans", 2, "--json")
+    cost, problem = int(case.go), case.write(tmp_path)
+    begun, limit, team = time.process_time(), 15, (problem, "--humans", 2, "--json")
     bound = json.loads(invoke("bound", *team, "--value-episodes", 64, "--time-limit", limit).stdout)
     run = json.loads(invoke("simulate", *team, "--episodes", 8, "--policy", "priority").stdout)["policies"][0]
     assert time.process_time() - begun < limit

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -374,60 +373,3 @@ def test_a_decimal_cost_gives_the_people_of_its_fraction(tmp_path_factory: Any, 
     assert decimal[decimal.initial] == fraction[fraction.initial] == pytest.approx(2 * over / under, rel=1e-15)
     pools = [Pool.sample(one, 3, seed=2, setting=Setting(c_suggest=0.1)) for one in (decimal, fraction)]
     assert equal(*(run(pool, "attention", 2, 4, 1) for pool in pools))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "first", "before", "after"),
-    [
-        ("stock/refill", ["(pick bolt bin-bolt tray-1)"], "parts = 4 of 6", "parts = 3 of 6"),
-        ("timed/two-parts", ["(walk bench dock)", "(recharge)"], "charge = 1 of 2", "charge = 2 of 2"),
-    ],
-)  # fmt: skip
-def test_two_people_in_a_browser(tmp_path: Path, name: str, first: list[str], before: str, after: str) -> None:
-    """One clicks on buttons, one has the keyboard alone; both finish the order, and the log has the file's actions."""
-    sync_api = pytest.importorskip("playwright.sync_api")
-    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if chromium is None:
-        pytest.skip("no Chromium is installed: `apt-get install chromium`")
-    from serving import served
-    from test_live_pages import Seat, Typing
-
-    class Pressing(Seat):
-        """Take an action by a click on its button."""
-
-        def takes(self, action: str) -> None:
-            self.page.click(f'#actions button:text-is("{self.artist.say(action)}")')
-
-    table = shipped(name)
-    options = (
-        "--humans",
-        2,
-        "--set",
-        "population.beta=[0.1, 0.6]",
-        "--c-suggest",
-        0.05,
-        "--c-move",
-        0.01,
-        "--data",
-        tmp_path,
-    )
-    with sync_api.sync_playwright() as playwright, served(*options, instance=table.task.instance.problem) as desk:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
-        contexts = [browser.new_context(viewport={"width": 760, "height": 900}), browser.new_context()]
-        artist = Artist(table.task)
-        seats = [
-            kind(context.new_page(), desk, person, table, artist)
-            for kind, context, person in zip((Pressing, Typing), contexts, desk.links, strict=True)
-        ]
-        for seat in seats:
-            assert before in seat.page.text_content("svg.ka")
-            for action in first:
-                seat.do(action)
-            sync_api.expect(seat.page.locator("svg.ka")).to_contain_text(after)
-            seat.finish()
-            seat.has_no_faults()
-        rows = [json.loads(line) for line in desk.ask("GET", "/api/log").text.splitlines()]
-        assert {row["person"] for row in rows} == set(desk.links)
-        assert {row["action"] for row in rows} <= set(table.task.actions)
-        browser.close()

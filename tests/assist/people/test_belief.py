@@ -13,7 +13,7 @@ from assist.live.live_task import LiveTask
 from assist.people.belief import Grid, ImpossibleObservationError, update
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
-from assist.people.hidden_type import KNOWN, HiddenType
+from assist.people.hidden_type import HiddenType
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.ranges import Population
@@ -106,23 +106,6 @@ def test_without_lapses_an_impossible_observation_is_an_error() -> None:
     likelihood[1] = np.nan
     with pytest.raises(ImpossibleObservationError, match="row 1: the observation has probability nan"):
         update(belief, likelihood, nowhere.astype(int), nowhere)
-
-
-def test_watching_an_expert_and_a_novice(tiny_choices: Choices) -> None:
-    """Simulated actions without suggestions: the belief finds beta and leaves theta alone."""
-    grid = Grid.regular(Population())
-    for beta, k in ((0.1, 0), (2.8, 5)):
-        pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices), grid=grid)
-        rng = np.random.default_rng(1)
-        belief, x = pomdp.prior[None], tiny_choices.initial
-        for _ in range(300):
-            p = choice(pomdp.model.q[x], tiny_choices.applicable[x], beta)
-            action = int(rng.choice(len(p), p=p))
-            belief = pomdp.update(belief, np.array([x]), np.array([0]), np.array([action]))
-            x = int(tiny_choices.targets[x, action])
-            x = tiny_choices.initial if tiny_choices.goal[x] else x
-        assert belief[0].sum(axis=1).argmax() == k
-        np.testing.assert_allclose(belief[0].sum(axis=0), pomdp.prior.sum(axis=0), atol=1e-12)
 
 
 @given(
@@ -264,17 +247,6 @@ def test_cells_of_a_geometric_sequence_are_even_in_the_logarithm() -> None:
     found = Spread.of(np.geomspace(0.1, 10, 5), np.array([0.0, 0.0, 1.0, 0.0, 0.0]))
     assert (found.low, found.high) == pytest.approx((10**-0.225, 10**0.225))
     assert Spread.of(np.geomspace(0.1, 10, 5), np.full(5, 0.2), level=1).low == pytest.approx(10**-1.25)
-
-
-@pytest.mark.parametrize("theta", [(0.5, 0.95), (0.0, 1.0), (0.2, 0.4)])
-def test_a_uniform_prior_lies_between_a_twentieth_and_nineteen(theta: tuple[float, float]) -> None:
-    population = Population(theta=theta)
-    grid = Grid.regular(population, thetas=41)
-    beta, found = grid.spreads(grid.prior(population), HiddenType({KNOWN: 1.0}, grid.beta))
-    assert (beta.mean, beta.low, beta.high) == pytest.approx((1.55, 0.1 + 0.05 * 2.9, 3 - 0.05 * 2.9))
-    ends = theta[0] + 0.05 * (theta[1] - theta[0]), theta[1] - 0.05 * (theta[1] - theta[0])
-    assert (found.low, found.high) == pytest.approx(ends, abs=0.01)
-    assert found.mean == pytest.approx(sum(theta) / 2)
 
 
 @st.composite

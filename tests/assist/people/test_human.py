@@ -72,36 +72,10 @@ def test_values_by_hand_on_the_tiny_kit(tiny: Table, tiny_choices: Choices) -> N
     assert trust(0.5, value[last], value[goal], 0.2) == pytest.approx(0.7)
 
 
-def test_beta_zero_is_uniform_even_towards_dead_ends() -> None:
-    assert choice(np.array([1.0, 50.0, np.inf]), ALL, 0.0).tolist() == [1 / 3] * 3
-
-
-def test_an_action_into_a_dead_end_is_not_chosen_while_there_is_another() -> None:
-    p = choice(np.array([3.0, 4.0, np.inf]), ALL, 1e-9)
-    assert p[2] == 0
-    assert p[0] == pytest.approx(0.5)
-    assert choice(np.full(3, np.inf), ALL, 2.0).tolist() == [1 / 3] * 3
-
-
 def test_choice_is_stable_at_any_scale() -> None:
     q = np.array([1e6, 1e6 + 1, 1e9])
     assert choice(q, ALL, 3.0)[1] == pytest.approx(exp(-3) / (1 + exp(-3)), rel=1e-9)
     assert choice(q, ALL, 1e6).tolist() == [1, 0, 0]
-
-
-def test_what_else_speaks_for_an_action() -> None:
-    """exp(bias - beta Q) by hand, at any scale: of several states, and where a slot is empty, or all are."""
-    q = np.array([[1.0, 2.0, np.inf], [0.0, 0.0, 7.0], [4.0, 3.0, 5.0]])
-    applicable = np.array([[True, True, True], [True, True, False], [True, True, True]])
-    bias = np.log([[1.0, 3.0, 5.0], [1.0, 4.0, 9.0], [2.0, 1.0, 1.0]])
-    expected = np.exp(bias - 2 * q) * applicable
-    expected /= expected.sum(axis=1, keepdims=True)
-    for shift in (np.zeros(3), np.array([900.0, -900.0, 0.0])):
-        np.testing.assert_allclose(choice(q, applicable, 2.0, bias + shift[:, None]), expected, rtol=1e-12)
-    np.testing.assert_allclose(choice(q, applicable, np.zeros(3), np.zeros((3, 3)))[1], [0.5, 0.5, 0.0])
-    large = choice(q[2], ALL, 1.0, np.array([-2000.0, 0.0, 2000.0]))
-    assert large.tolist() == [0, 0, 1]
-    assert choice(q[1], np.zeros(3, dtype=bool), 1.0, bias[1]).tolist() == [0, 0, 0]
 
 
 def test_suggestions_are_weighed_state_by_state() -> None:
@@ -188,14 +162,6 @@ def test_who_is_mistaken_about_actions_sees_each_outcome_for_itself(sealed: Tabl
     np.testing.assert_array_equal(
         perceived_cost(choices, h)[choices.applicable], (choices.costs + h)[choices.applicable]
     )
-
-
-def test_population_draws_from_its_ranges(tiny_choices: Choices) -> None:
-    people = Population().sample(tiny_choices, 300, np.random.default_rng(0))
-    for name, (low, high) in {"beta": (0.1, 3.0), "theta": (0.5, 0.95), "sigma": (0.1, 1.0)}.items():
-        values = np.array([getattr(human, name) for human in people])
-        assert low <= values.min() < low + 0.1 * (high - low)
-        assert high - 0.1 * (high - low) < values.max() <= high
 
 
 def test_the_same_generator_draws_the_same_people(tiny_choices: Choices) -> None:

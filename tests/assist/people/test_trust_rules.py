@@ -47,7 +47,6 @@ from assist.people.trust_rules import (
 from assist.person.belief_filter import update
 from assist.person.pomdp import AssistPOMDP, Behaviour
 from assist.person.problem_arrays import ProblemArrays
-from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.solver import solve
@@ -202,29 +201,6 @@ def test_the_filter_is_the_sum_over_all_hidden_paths(rule: TrustRule, seed: int)
         plain = pomdp.update(plain, *(np.array([each]) for each in (x, robot, slot)))
     np.testing.assert_allclose(belief, total.ravel(), atol=1e-12)
     np.testing.assert_allclose(plain[0], total, atol=1e-12)
-
-
-@pytest.mark.parametrize("rule", ALL.values(), ids=ALL)
-def test_values_satisfy_the_bellman_equation(rule: TrustRule) -> None:
-    """QMDP's values equal plain arithmetic for each state and pair (beta, theta)."""
-    pomdp = problem(rule)
-    policy, choices = qmdp(pomdp, tolerance=1e-12), pomdp.model.choices
-    value = policy.value_mdp
-    for x in np.flatnonzero(~choices.goal)[::5]:
-        slots = np.arange(choices.applicable[x].sum())
-        for r in range(pomdp.robot_actions[x]):
-            expected = np.full(pomdp.grid.shape, -pomdp.robot_costs[x, r])
-            for a in slots:
-                p = pomdp.likelihood(np.array([x]), np.array([r]), np.array([a]))[0]
-                follows = pomdp.followed_low is not None and pomdp.suggested[x, r] == a
-                low = pomdp.followed_low[x, r, 0] if follows else pomdp.low[x, r, 0]
-                up = pomdp.followed_weight[x, r, 0] if follows else pomdp.weight[x, r, 0]
-                if pomdp.suggested[x, r] == NOTHING:
-                    low, up = pomdp.grid.shares(pomdp.grid.theta, pomdp.grid.count)
-                after = value[choices.targets[x, a]]
-                follow = (1 - up) * after[:, low] + up * after[:, low + 1]
-                expected += p * (pomdp.gamma * follow - choices.costs[x, a])
-            np.testing.assert_allclose(policy.q_mdp[x, r], expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("rule", ALL.values(), ids=ALL)

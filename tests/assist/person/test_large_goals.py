@@ -12,7 +12,7 @@ from teams import equal
 from test_unknown_goals import three_goals
 
 from assist.certify import upper_bound
-from assist.live import Assistant, TraceReasons
+from assist.live import Assistant
 from assist.people import Goals, Human, HumanModel
 from assist.people.misconception import Misconception
 from assist.people.ranges import Population
@@ -100,33 +100,6 @@ def test_a_solver_of_ones_own_acts_for_people_with_several_goals(monkeypatch: py
 @pytest.mark.parametrize("policy", ["attention", "priority"])
 def test_so_it_is_where_goals_have_dead_ends(policy: str) -> None:
     assert equal(*(simulate(pool, policy, **OPTIONS) for pool in pools(three_goals("sealed"), SETTING)))
-
-
-def test_a_small_part_is_nearly_as_good() -> None:
-    whole, part = pools(three_goals("sealed"), Setting(c_suggest=0.2, c_move=0.1, knowledge="exact"), region=40)
-    options = {**OPTIONS, "episodes": 200}
-    none, best, found = (
-        simulate(pool, policy, **options).discounted_return.mean()
-        for pool, policy in ((whole, "none"), (whole, "attention"), (part, "attention"))
-    )
-    assert found - none > 0.8 * (best - none) > 0
-    (policy,) = part.policies
-    assert isinstance(policy, TruncatedPolicy)
-    assert [len(one.states) - len(one.frontier) - one.choices.goal.sum() for one in policy.regions] == [40, 40, 40]
-
-
-def test_a_trace_has_the_same_goals_and_reasons() -> None:
-    traces: list[list[dict[str, Any]]] = []
-    goals = three_goals("tiny")
-    for pool in pools(goals, SETTING):
-        trace: list[dict[str, Any]] = []
-        reasons = TraceReasons(pool.policies, goals)
-        simulate(pool, "priority", humans=2, episodes=6, seed=3, trace=trace, reasons=reasons)
-        traces.append(trace)
-    for whole, part in zip(*traces, strict=True):
-        assert whole.pop("explanation", {}).get("text") == part.pop("explanation", {}).get("text")
-        assert whole == part
-    assert any(row["suggestion"] for row in traces[0])
 
 
 def test_a_live_robot_infers_goals_of_a_large_task(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,13 +216,13 @@ def test_the_size_of_a_part_counts_memory_where_the_goal_is_known() -> None:
 def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Questions about goals are worth as much, and so is help against none."""
     goals, setting = three_goals("sealed"), Setting(c_suggest=0.2, c_move=0.1, c_ask=0.05, ask_error=0.1, max_steps=60)
-    whole = Pool.sample(goals, 3, seed=1, setting=setting)
+    whole = Pool.sample(goals, 2, seed=1, setting=setting)
     monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 5)
-    parts = [Pool.sample(goals, 3, seed=1, setting=setting, states=1, region=region) for region in (EVERYTHING, 20)]
+    parts = [Pool.sample(goals, 2, seed=1, setting=setting, states=1, region=region) for region in (EVERYTHING, 20)]
     assert all(isinstance(part.policies[0], TruncatedPolicy) for part in parts)
-    found = [simulate(pool, policy, **OPTIONS) for pool in (whole, *parts)]
+    found = [simulate(pool, policy, **OPTIONS | {"episodes": 12}) for pool in (whole, *parts)]
     assert equal(*found[:2])
-    assert all(one.questions is not None and one.questions.sum() > 7 for one in found)
+    assert all(one.questions is not None and one.questions.sum() > 4 for one in found)
 
 
 def test_a_live_robot_asks_about_goals_of_a_large_task(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,11 +243,10 @@ def test_a_live_robot_asks_about_goals_of_a_large_task(monkeypatch: pytest.Monke
     assert any(question for _, question in said[0])
 
 
-@pytest.mark.parametrize(
-    ("knowledge", "region"), thinned([("exact", 2), ("exact", EVERYTHING), ("own", 2), ("own", EVERYTHING)], 4)
-)
-def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any, region: int) -> None:
+@pytest.mark.parametrize("case", thinned([("exact", 2), ("exact", EVERYTHING), ("own", 2), ("own", EVERYTHING)], 4))
+def test_a_bound_on_a_truncated_task_is_one_on_the_whole(case: tuple[Any, int]) -> None:
     """It is at least that on all states, whose robot is told the goals as well, and above what policies reach."""
+    knowledge, region = case
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge, gamma=0.9)
     goals = three_goals("tiny")
     whole = Pool.sample(goals, 2, seed=1, setting=setting)

@@ -17,7 +17,7 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
-from assist.people.trust_rules import Reliability, TrustRule, outcome
+from assist.people.trust_rules import Reliability, TrustRule, outcome, outcome_at_disagreement
 from assist.person import AssistPOMDP, policy_iteration, sparse_iteration
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.behaviour import Behaviour
@@ -117,14 +117,20 @@ def random_problem(draw: st.DataObject, gamma: float) -> AssistPOMDP:
     model = HumanModel.exact(choices)
     if pick(st.booleans()):
         model = HumanModel.own(choices, Human(1.0, 0.6, 0.9, perceived_cost_to_go(choices, 0.9, rng)))
-    rules: list[TrustRule | None] = [None, outcome(), Reliability(counts=2)]
+    rules: list[TrustRule | None] = [
+        None,
+        outcome(),
+        outcome_at_disagreement(),
+        outcome(feedback="true"),
+        Reliability(counts=2),
+    ]
     frontier, inside = None, np.flatnonzero(~choices.goal & (np.arange(len(choices)) != choices.initial))
     execute = pick(st.booleans())
     if not execute and len(inside) and pick(st.booleans()):
         leaves = np.sort(rng.choice(inside, pick(st.integers(1, len(inside))), replace=False))
         most = -rng.uniform(0, 9, (len(leaves), *(GRID.shape if pick(st.booleans()) else (1, 1))))
         frontier = LeafBounds(leaves, np.full((len(leaves), 1, GRID.shape[1]), -9.0 / (1 - gamma)), most)
-    trust = rules[pick(st.integers(0, 1 if frontier else 2))]
+    trust = rules[pick(st.integers(0, 3 if frontier else 4))]
     return AssistPOMDP.of(
         model, grid=GRID, gamma=gamma,
         robot=OfRobots(c_suggest=pick(st.sampled_from([0.0, 0.1, 50.0])), execute=execute),

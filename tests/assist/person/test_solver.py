@@ -16,12 +16,10 @@ from test_qmdp import GRID, make
 
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.ranges import Population
 from assist.person.mdp_values import evaluate
-from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
@@ -345,44 +343,3 @@ def test_bounds_hold_where_there_is_no_time_for_the_first_ones(tiny_choices: Cho
 def test_limits_are_numbers(tiny_choices: Choices, name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} {value}: expected 0 or more"):
         solve(make(tiny_choices), **{name: value})
-
-
-def returns(policy: Policy, episodes: int, rng: np.random.Generator) -> np.ndarray:
-    """Return the returns of a policy with people drawn from the robot's prior, one for each episode.
-
-    People's actions come from the equations of `assist.people.decision`, not from the arrays of the solver.
-    """
-    pomdp, grid = policy.pomdp, policy.pomdp.grid
-    model, choices = pomdp.model, pomdp.model.choices
-    b, t = np.divmod(rng.choice(pomdp.prior.size, episodes, p=pomdp.prior.reshape(-1)), len(grid.theta))
-    x, belief = np.full(episodes, choices.initial), np.repeat(pomdp.prior[None], episodes, axis=0)
-    total, discount = np.zeros(episodes), 1.0
-    going = np.flatnonzero(~choices.goal[x])
-    while len(going):
-        at = x[going]
-        robot = policy.choose(at, belief[going])
-        heard, theta = pomdp.suggested[at, robot], grid.theta[t[going]]
-        p = choice(model.q[at], choices.applicable[at], grid.beta[b[going]])
-        p = lapse(influence(p, heard, theta), choices.applicable[at], model.lapse)
-        slot = (p.cumsum(axis=1) < rng.random((len(at), 1)) * p.sum(axis=1, keepdims=True)).sum(axis=1)
-        total[going] -= discount * (pomdp.robot_costs[at, robot] + choices.costs[at, slot])
-        belief[going] = pomdp.update(belief[going], at, robot, slot)
-        v = perceived_value(choices, model.q)
-        moved = trust(theta, v[at], v[choices.targets[at, np.maximum(heard, 0)]], model.eta)
-        low, weight = grid.shares(np.where(heard >= 0, moved, theta))
-        t[going] = low + (rng.random(len(at)) < weight)
-        x[going] = choices.targets[at, slot]
-        going, discount = going[~choices.goal[x[going]]], discount * pomdp.gamma
-    return total
-
-
-@pytest.mark.parametrize("episodes", [4_000, pytest.param(20_000, marks=pytest.mark.slow)])
-def test_people_as_modelled_give_the_policy_what_its_bounds_say(episodes: int) -> None:
-    pomdp = problem("paper-fixed", 0.99, 0.2, 0.5)
-    solution = solve(pomdp)
-    for policy, least in ((solution, solution.lower), (qmdp(pomdp), -np.inf)):
-        found = returns(policy, episodes, np.random.default_rng(4))
-        mean, error = found.mean(), found.std(ddof=1) / np.sqrt(episodes)
-        assert mean + 2.6 * error >= least
-        assert mean - 2.6 * error <= solution.upper
-        assert error < 0.003 * abs(mean)

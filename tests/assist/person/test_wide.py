@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from random import Random
-from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -119,11 +118,11 @@ def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge
         shown = found.shape[1]
         assert not np.isfinite(expected[:, shown:]).any()
         np.testing.assert_allclose(found, expected[:, :shown], rtol=0, atol=1e-9)
-    for policy in ("none", "reactive", "attention", "priority"):
+    for policy in ("reactive", "attention", "priority"):
         runs = [simulate(pool, policy, humans=2, episodes=16, seed=3) for pool in (whole, part)]
         assert_same(*runs, 16)
         np.testing.assert_array_equal(runs[0].executed, runs[1].executed)
-        assert (policy in ("none", "reactive")) == (not runs[0].executed.any())
+        assert (policy == "reactive") == (not runs[0].executed.any())
     cut = Pool.sample(table, 3, seed=1, setting=setting, region=40)
     none, best, near = (
         simulate(pool, policy, humans=2, episodes=100, seed=4).discounted_return.mean()
@@ -137,11 +136,12 @@ def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge
 
 
 @pytest.mark.parametrize(
-    ("task", "error", "travel_time"),  # the larger one is solved to 1e-6
+    "case",
     thinned([("tiny", 1e-9, 2), ("tiny", 1e-9, 0), ("sealed", 1e-6, 0), ("sealed", 1e-6, 2)]),
 )
-def test_prices_of_steps_on_rows_are_those_on_the_whole_task(task: str, error: float, travel_time: int) -> None:
+def test_prices_of_steps_on_rows_are_those_on_the_whole_task(case: tuple[str, float, int]) -> None:
     """At each step, for each position of the robot, in all states that are reachable by then."""
+    task, error, travel_time = case  # the larger one is solved to 1e-6
     table = kit(task)
     setting, price = Setting(c_suggest=0.1, travel_time=travel_time), np.array([0.4, 0.0, 0.7, 0.2])
     whole, part = (
@@ -203,29 +203,6 @@ def test_states_that_are_possible_keep_their_rows(monkeypatch: pytest.MonkeyPatc
         assert_same(*(simulate(pool, "attention", humans=1, episodes=1, seed=seed) for pool in (whole, part)), 1)
     (stamps,) = (policy.problem.now.stamps for policy in part.policies)
     assert stamps.max() > len(stamps)  # rows were used again
-
-
-def test_whoever_holds_rows_keeps_them(tiny: Table, monkeypatch: Any) -> None:
-    """The places and the values of rows that are held stay, whatever else is asked for."""
-    monkeypatch.setattr(shared_task, "ROWS", 20)
-    whole, part = (Pool.sample(tiny, 1, seed=1, states=states, region=EVERYTHING).policies[0] for states in (99, 0))
-    holders, states = [Thread(), Thread()], [np.array([3, 9]), np.array([12])]
-    rows = [part.rows(own, holder) for own, holder in zip(states, holders, strict=True)]
-    belief = part.pomdp.prior[None]
-    for state in range(len(tiny)):
-        (row,) = part.rows(np.array([state]))
-        expected = whole.q_values(np.array([state]), belief)[0]
-        found = part.q_values(np.array([row]), belief)[0]
-        np.testing.assert_allclose(found[np.isfinite(found)], expected[np.isfinite(expected)], atol=1e-3)
-        for own, held in zip(states, rows, strict=True):
-            assert part.places(held).tolist() == own.tolist()
-            np.testing.assert_array_equal(part.pomdp.model.choices.h[held], tiny.h[own])
-    stamps = [part.problem.now.stamps[held].tolist() for held in rows]
-    del holders[1]
-    for state in range(len(tiny)):
-        part.rows(np.array([state]))
-    assert part.problem.now.stamps[rows[0]].tolist() == stamps[0]
-    assert part.problem.now.stamps[rows[1]].tolist() != stamps[1]
 
 
 def test_threads_do_not_evict_each_others_rows(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
