@@ -159,11 +159,10 @@ class Attended:
     """A group of people, of whom this share is attended to at each step, at every price."""
 
     def __init__(self, count: int, *share: float) -> None:
-        self.count, self.share, self.asked, self.seeds = count, np.array(share), 0, list[int]()
+        self.count, self.share, self.asked = count, np.array(share), 0
 
-    def simulated(self, _price: object, _steps: int, _episodes: int, seed: int) -> tuple[np.ndarray, None]:
+    def simulated(self, *_: object) -> tuple[np.ndarray, None]:
         self.asked += 1
-        self.seeds.append(seed)
         return self.share, None
 
 

@@ -114,15 +114,6 @@ def test_people_of_large_tasks_are_solved_when_they_are_drawn(tiny: Table) -> No
         assert {n for n, one in enumerate(pool.policies) if one.solved} == drawn  # type: ignore[attr-defined]
 
 
-def test_a_pool_survives_pickling_solved_or_not(tiny_choices: Choices) -> None:
-    pool = Pool.sample(tiny_choices, 3, seed=0)
-    pool.policies[0].prepare()
-    again = pickle.loads(pickle.dumps(pool))
-    for name in ("attention", "none"):
-        kept, other = (simulate(one, name, humans=2, episodes=4, seed=2) for one in (pool, again))
-        assert list(kept) == list(other)
-
-
 def test_the_robots_grid_covers_the_people_it_is_told_of(tiny_choices: Choices) -> None:
     experts = Population(beta=(5.0, 8.0), theta=(0.8, 0.9))
     pomdp = Pool.sample(tiny_choices, 1, seed=0, population=experts).policies[0].pomdp
