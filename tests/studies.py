@@ -18,6 +18,7 @@ trials = 2
 
 [setting]
 c_suggest = 0.2
+max_steps = 100
 
 [populations.everybody]
 

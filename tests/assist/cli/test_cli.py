@@ -208,7 +208,7 @@ def test_a_wrong_table_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     assert record["cost"] is record["plan"] is None
 
 
-TEAM = ("simulate", KITTING / "tiny.pddl", "--humans", 2, "--episodes", 10, "--pool", 3, "--seed", 5)
+TEAM = ("simulate", "kitting/tiny", "--humans", 2, "--episodes", 10, "--pool", 3, "--set", "max_steps=60", "--seed", 5)
 THREE = ("--policy", "none", "--policy", "reactive", "--policy", "attention")
 
 

@@ -208,9 +208,11 @@ def test_two_devices_of_one_link_are_one_participant_and_a_replay_is_none(web: W
 
 
 def test_a_page_cannot_be_framed_and_its_address_goes_nowhere(web: Web) -> None:
-    for path in ("/", "/study", "/study/operator", "/part/P-2B4C6D", "/join/P-2B4C6D", "/docs", "/nowhere", "/api/me"):
+    pages = ("/", "/study", "/study/operator", "/part/P-2B4C6D", "/join/P-2B4C6D", "/docs", "/nowhere")
+    for path in (*pages, "/api/me", "/openapi.json"):
         headers = web.client.get(path).headers
         policy = headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self'")
         assert "frame-ancestors 'none'" in policy, path
         assert "'unsafe-inline'" not in policy, path
         assert "'unsafe-eval'" not in policy, path

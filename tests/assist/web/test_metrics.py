@@ -73,13 +73,6 @@ def test_an_action_on_an_older_view_answers_no_suggestion(tmp_path: Path) -> Non
     assert answered == [0, 0, 1, 1, 2]
 
 
-def test_metrics_are_for_the_operator(tmp_path: Path) -> None:
-    web = Web(kit("tiny"), tmp_path)
-    with web.client:
-        assert web.client.get("/metrics").status_code == 401
-        assert web.ask("GET", "/metrics", "ann").status_code == 403
-
-
 def test_entropy_and_buckets() -> None:
     assert entropy(np.full(8, 1 / 8).tobytes()) == pytest.approx(math.log(8))
     assert entropy(np.array([1.0, 0.0]).tobytes()) == 0

@@ -80,15 +80,6 @@ def test_everybody_gets_a_place_of_their_own_once(web: Web) -> None:
     assert web.ask("GET", "/api/study").json()["taken"] == 50
 
 
-def test_nobody_can_mark_a_study_as_a_rehearsal(web: Web) -> None:
-    refused = web.ask("POST", "/api/study/seats", VISITOR, json={"id": "forger", "simulated": True})
-    said = "simulated participants are admitted in a rehearsal only"
-    assert (refused.status_code, refused.json()["detail"]) == (403, said)
-    assert web.come("ann").status_code == 200
-    people = web.ask("GET", "/api/study").json()["participants"]
-    assert [one["simulated"] for one in people] == [False]
-
-
 def test_the_operator_sees_who_is_simulated_in_a_rehearsal(web: Web) -> None:
     web.service.rehearsal = True
     web.ask("POST", "/api/study/seats", VISITOR, json={"id": "robot", "simulated": True})

@@ -87,6 +87,7 @@ def test_a_study_completes_behind_a_proxy_that_fails_twice(
     assert TOKEN.search(log) is None
 
 
+@pytest.mark.slow
 def test_the_example_of_the_documentation_takes_part_in_a_study(tiny: Table, tmp_path: Path) -> None:
     listening = listen("127.0.0.1", 0)
     base = address(listening)

@@ -21,11 +21,12 @@ from assist.team import TeamAction, TeamState
 from planner import cost_to_go
 
 POLICIES = ["none", "reactive", "attention"]
+SETTING = Setting(c_suggest=0.5, max_steps=50)
 
 
 @pytest.fixture(scope="module")
 def pool() -> Pool:
-    return Pool.sample(cost_to_go("kitting/tiny"), 3, seed=0, setting=Setting(c_suggest=0.5))
+    return Pool.sample(cost_to_go("kitting/tiny"), 3, seed=0, setting=SETTING)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_the_frame_is_tidy(found: PolicyComparison) -> None:
 
 
 def test_pools_are_conditions_and_have_a_column(pool: Pool) -> None:
-    cheap = Pool.sample(cost_to_go("kitting/tiny"), 3, seed=0, setting=Setting(c_suggest=0.05))
+    cheap = Pool.sample(cost_to_go("kitting/tiny"), 3, seed=0, setting=replace(SETTING, c_suggest=0.05))
     found = compare({0.05: cheap, 0.5: pool}, POLICIES, humans=2, episodes=30, varied="c_suggest")
     assert compare(pool, POLICIES, humans=2, episodes=30, c_suggest=[0.05, 0.5]) == found  # in one call
     frame = found.to_frame()
@@ -87,7 +88,7 @@ def test_it_says_where_no_suggestion_was_worth_its_cost(pool: Pool) -> None:
 
 def test_a_setting_is_changed_for_the_same_people(pool: Pool) -> None:
     found = compare(pool, ["none", "attention"], humans=2, episodes=20, c_move=3.0)
-    other = Pool.sample(cost_to_go("kitting/tiny"), 3, seed=0, setting=Setting(c_suggest=0.5, c_move=3.0))
+    other = Pool.sample(cost_to_go("kitting/tiny"), 3, seed=0, setting=replace(SETTING, c_move=3.0))
     assert found == compare(other, ["none", "attention"], humans=2, episodes=20)
     assert pool.under(other.setting) == other != pool
     with pytest.raises(ValueError, match="which know the task"):

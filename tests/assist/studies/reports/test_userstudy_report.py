@@ -342,9 +342,6 @@ def test_what_the_command_refuses(tmp_path: Path) -> None:
     ]:
         result = invoke(*words)
         assert (result.exit_code, message in result.stderr) == (2, True), result.stderr
-    result = invoke("study-report", tmp_path)
-    assert result.exit_code == 1
-    assert result.stderr.count("\n") == 1
 
 
 def test_statistics_are_those_worked_out_by_hand() -> None:

@@ -142,7 +142,7 @@ def test_a_fault_in_the_folder_is_said_in_one_sentence(begun: Path, tiny: Table,
 
 def test_after_a_refusal_the_folder_is_free_and_whole(begun: Path, tiny: Table) -> None:
     before = (begun / "data" / JOURNAL).read_bytes()
-    with pytest.raises(InputFileError):
+    with pytest.raises(InputFileError, match=r"study than .*study.toml, line 7 of which is 'seed = 4', not 'seed = 3'"):
         opened(tiny, begun, PLAN.replace("seed = 3", "seed = 4"))
     assert (begun / "data" / JOURNAL).read_bytes() == before
     opened(tiny, begun).close()

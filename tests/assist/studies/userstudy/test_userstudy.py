@@ -474,12 +474,6 @@ def test_simulated_people_act_in_step_and_share_the_robot(opened: Open) -> None:
     assert {row["person"] for row in session.log()} == {"ann"}
 
 
-def test_a_folder_of_another_study_is_refused(opened: Open) -> None:
-    opened().close()
-    with pytest.raises(InputFileError, match=r"study than .*study.toml, line 7 of which is 'seed = 4', not 'seed = 3'"):
-        opened(PLAN.replace("seed = 3", "seed = 4"))
-
-
 def test_the_example_is_a_study_and_the_documentation_shows_it() -> None:
     file = ROOT / "docs" / "examples" / "kitting-study.toml"
     assert [one.name for one in read(file).conditions] == ["none", "reactive", "attention", "priority"]
