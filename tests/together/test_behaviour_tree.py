@@ -19,6 +19,7 @@ from assist.web.server import SimulatedSeats, listen, run
 pytest.importorskip("py_trees")
 
 
+@pytest.mark.slow
 def test_a_tree_serves_three_simulated_people_to_the_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = ["ann", "bob", "eve"]
     here, listening = Here(tmp_path / "session", names, DRIVES), listen("127.0.0.1", 0)

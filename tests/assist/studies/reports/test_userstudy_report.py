@@ -173,6 +173,7 @@ def german(folder: Path, plan: str) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_report_of_a_german_study_is_german_also_in_its_figures(tmp_path: Path) -> None:
     plan = PLAN.replace("seed = 3", 'seed = 3\nconfirmatory = ["actions"]')
     folder = german(tmp_path / "data", plan)

@@ -62,6 +62,7 @@ def test_who_is_erased_is_in_no_byte_of_a_team(tmp_path: Path, ends: signal.Sign
     assert_no_trace(NAME, "zdenkas-", folder=tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
 def test_who_withdraws_is_in_no_byte_of_a_study(tiny: Table, tmp_path: Path) -> None:
     """The journal, the export and the report within the folder, and the log; the rows of others stay."""
