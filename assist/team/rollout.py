@@ -299,8 +299,9 @@ class _Paths:
         gained += self.rollout.base.price[0] * attended.sum(axis=1)
         # In the position after the robot's way: leave or stay away (0), or stay (1), or make a suggestion (2 and up).
         move = np.where(now == HERE, 1 + taken.heard, 0)
-        cells = (np.searchsorted(grid.values, theta) for theta in (self._own_theta, taken.theta))
-        was_cell, cell = (cell + outcomes * len(grid.values) for cell in cells)
+        was_cell = cell = np.searchsorted(grid.values, self._own_theta) + outcomes * len(grid.values)
+        if not np.array_equal(self._own_theta, taken.theta):
+            cell = np.searchsorted(grid.values, taken.theta) + outcomes * len(grid.values)
         after_way, advantage = np.where(now == AWAY, before, now), np.zeros(before.size)
         each = (before, after_way, move, taken.heard, by, taken.before, engine.tasks.who, was_cell, cell)
         for group, flat in taken.now.by_policy:
