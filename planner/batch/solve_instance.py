@@ -297,7 +297,7 @@ def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phase
     """
     record = _empty(task)
     known, table, why = swept
-    notes = [task.note, f"solved on demand: {why}" if why else None]
+    notes = [task.note, f"solved on demand: {why}" if why and not task.beyond else None]  # else the task's note has it
     if known is not None and table is not None:
         record["method"] = known.method
         if known is table:

@@ -18,6 +18,8 @@ TRUE = listed(word("and"))
 FALSE = listed(word("or"))
 COMPLEMENT = {"<": ">=", ">=": "<", ">": "<=", "<=": ">", "==": "!=", "!=": "=="}
 """The comparison that is true of two numbers where another one is false."""
+SIGNS = {"<": {-1}, "<=": {-1, 0}, "==": {0}, "!=": {-1, 1}, ">=": {0, 1}, ">": {1}}
+"""The signs of the differences, left minus right, of which a comparison is true."""
 
 
 def conjunction(parts: Iterable[Expression]) -> Expression:
@@ -95,6 +97,28 @@ def unsatisfied(condition: Expression) -> Expression:
     if head == "failed":
         return parts[0]
     return listed(word("failed" if head in COMPLEMENT else "not"), condition)
+
+
+def exclude(one: Expression, other: Expression) -> bool:
+    """Whether two conditions surely never hold together, since a part of one is the opposite of a part of the other.
+
+    Comparisons of one expression with numbers are compared, too. What follows from several parts is not considered.
+    """
+    return any(_opposite(part, each) for part in conjuncts(one) for each in conjuncts(other))
+
+
+def _opposite(one: Expression, other: Expression) -> bool:
+    if str(unsatisfied(one)) == str(other) or str(unsatisfied(other)) == str(one):
+        return True
+    if one.head not in COMPLEMENT or other.head not in COMPLEMENT or str(one.parts[1]) != str(other.parts[1]):
+        return False
+    if str(one.parts[2]) == str(other.parts[2]):
+        return SIGNS[one.head].isdisjoint(SIGNS[other.head])
+    limits = [number(each.parts[2].word) for each in (one, other)]
+    if limits[0] is None or limits[1] is None or limits[0] == limits[1]:
+        return False
+    low, high = (one, other) if limits[0] < limits[1] else (other, one)
+    return SIGNS[low.head] <= {-1, 0} and SIGNS[high.head] <= {0, 1}
 
 
 def comparisons(condition: Expression) -> Iterator[Expression]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 from .conditions import (
@@ -21,6 +22,7 @@ from .conditions import (
     changed,
     conjunction,
     disjunction,
+    exclude,
     quantified,
     same,
     substituted,
@@ -127,9 +129,12 @@ def _composed(file: Path, schema: TimedSchema, times: Sequence[str], changes: Se
         last: list[Change] = []
         for time in (START, END):
             now = [change for when, change in group if when == time]
-            if len(now) > 1 and not all(each.grows for each in now):
-                refuse(file, now[1].place, f"action '{schema.name}' changes '{now[1].term}' twice at one time, on line "
-                       f"{now[0].place.line} as well; expected one change, or (increase ...) only")  # fmt: skip
+            for one, other in combinations(now, 2):
+                if not (one.grows and other.grows) and not exclude(one.condition, other.condition):
+                    _twice(file, schema, one, other)
+            if not last and not all(each.grows for each in now):
+                last = now  # at most one of them is made, or growths
+                continue
             for each in now:
                 if each.grows or not last:
                     last = _added(file, schema, last, each)
@@ -138,6 +143,14 @@ def _composed(file: Path, schema: TimedSchema, times: Sequence[str], changes: Se
                 else:
                     _too_intricate(file, schema, each)
         yield from last
+
+
+def _twice(file: Path, schema: TimedSchema, one: Change, other: Change) -> None:
+    sure = one.condition == other.condition == TRUE
+    said = "" if sure else "perhaps "
+    expected = "one change, " if sure else "one change, conditions of which one is the opposite of the other, "
+    refuse(file, other.place, f"action '{schema.name}' {said}changes '{other.term}' twice at one time, on line "
+           f"{one.place.line} as well; expected {expected}or (increase ...) only")  # fmt: skip
 
 
 def _added(file: Path, schema: TimedSchema, before: list[Change], change: Change) -> list[Change]:

@@ -19,6 +19,7 @@ from .conditions import (
     comparisons,
     conjunction,
     conjuncts,
+    exclude,
     free_variables,
     unsatisfied,
 )  # fmt: skip
@@ -299,6 +300,7 @@ class Preparation:
             with_it = tuple(
                 replace(change, condition=TRUE) if same else change
                 for same, change in zip(alike, each.changes, strict=True)
+                if not exclude(condition, change.condition)
             )
             without = tuple(change for same, change in zip(alike, each.changes, strict=True) if not same)
             waiting.append(self._under(each, unsatisfied(condition), without))

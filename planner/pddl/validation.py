@@ -200,8 +200,9 @@ def parsed(domain: str, problem: str) -> tuple[Problem | None, str | None]:
             return PDDLReader().parse_problem_string(domain, problem), None
         except Exception as fault:  # noqa: BLE001  it raises any exception, internal errors included
             clear_walkers()
-            # Further lines give places in the rewritten text.
-            return None, str(fault).partition("\n")[0] or f"it fails at it ({type(fault).__name__})"
+            # Further lines give places in the rewritten text, and further sentences name options of the library.
+            said = str(fault).partition("\n")[0].partition("! ")[0]
+            return None, f"it says '{said}'" if said else f"it fails at it ({type(fault).__name__})"
 
 
 def clear_walkers() -> None:

@@ -13,7 +13,7 @@ An addition of a fact that may hold already, or a deletion of one that may not h
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -68,27 +68,39 @@ class Bounds:
         """
         proofs, together, tried = self.proofs, MOST_TOGETHER, set[str]()
         while True:
-            try:
-                found = computed(
-                    proofs.of_all, proofs.begin, limit=self.most_values, saturations=self.saturations,
-                    ranges=self.ranges, together=together, tried=tried, trial=trial,
-                )  # fmt: skip
-            except UnsuitedError:
-                if together > 1:
-                    together = 1
-                    continue
-                refuse(proofs.file, proofs.place, "the numbers of this domain have too many combinations of values in "
-                       "one change; expected fewer values, or simpler expressions")  # fmt: skip
-            if found.unbounded is None:
+            found = computed(
+                proofs.of_all, proofs.begin, limit=self.most_values, saturations=self.saturations,
+                ranges=self.ranges, together=together, tried=tried, trial=trial,
+            )  # fmt: skip
+            if found.costly and together > 1:
+                together = 1
+                continue
+            fluent = self._most(found, tried) if found.costly else found.unbounded
+            if fluent is None:
                 return found
-            fluent = found.unbounded
+            low, high = self.ranges.get(fluent, (None, None))
+            if found.costly and (fluent[0] in tried or (low is not None and high is not None)):
+                refuse(proofs.file, proofs.place, "the numbers of this domain have too many combinations of values in "
+                       f"one change, most of them of ({' '.join(fluent)}); expected fewer values, or simpler "
+                       "expressions")  # fmt: skip
             if fluent in self.ranges and trial is None:
                 raise unproven(proofs, fluent, self.ranges[fluent], self.most_values)
             if fluent in self.ranges:
                 tried.add(fluent[0])
+                together = MOST_TOGETHER
                 continue
             for each in [other for other in proofs.initial if other[0] == fluent[0]]:
                 self.ranges[each] = proofs.range_of(each)
+
+    def _most(self, found: ValueSets, tried: Collection[str]) -> Fluent:
+        """Return the fluent that has caused too many combinations: one with many values that follow from its own."""
+        most = max(map(len, found.values.values()))
+
+        def rank(fluent: Fluent) -> tuple[bool, bool, bool, int]:
+            many = len(found.values[fluent])
+            return fluent[0] in tried, 10 * many < most, fluent[0] in self.proofs.varying, -many
+
+        return min(found.values, key=rank)
 
 
 class UnprovenError(PDDLError):
@@ -108,23 +120,43 @@ def unproven(proofs: Proofs, fluent: Fluent, found: Range, most: int) -> Unprove
     if low is not None and high is not None:
         return refusal(f"{shown} has more than {most} values, from {as_shown(low)} to {as_shown(high)}; expected "
                        "fewer, by a smaller capacity or larger steps, or a larger limit of values")  # fmt: skip
-    ways = {True: set[str](), False: set[str]()}
+    ways: dict[str, set[str]] = defaultdict(set)
     for change in proofs.of_all:
-        if change.fluent[0] == fluent[0]:
-            amount = literal_number(change.amount) if change.grows else None
-            for up in (True, False):
-                if amount is None or ((amount > 0) is up and amount):
-                    ways[up].add(change.schema)
+        if change.fluent[0] == fluent[0] and (way := _way(change, proofs.initial.get(change.fluent))) is not None:
+            ways[way].add(change.schema)
     verbs = [
-        f"{verb} without a limit ({', '.join(sorted(ways[up]))})"
-        for up, bound, verb in ((True, high, "grows"), (False, low, "falls")) if bound is None and ways[up]
+        f"{way} ({', '.join(sorted(ways[way]))})" for way, bound in
+        ((GROWS, high), (FALLS, low), (SHRINKS, low), (VARIES, None)) if bound is None and ways[way]
     ]  # fmt: skip
+    unknown = not verbs or bool(ways[VARIES])
     guards = [
-        f"(<= {shown} LARGEST) where it grows" if high is None else "",
-        f"(>= {shown} LEAST) where it falls" if low is None else "",
+        f"(<= {shown} LARGEST) where it grows" if high is None and (unknown or ways[GROWS]) else "",
+        f"(>= {shown} LEAST) where it falls" if low is None and (unknown or ways[FALLS] or ways[SHRINKS]) else "",
     ]
     return refusal(f"{shown} {' and '.join(verbs) or 'has no proven limit'}; expected conditions that bound it, such "
                    f"as {' and '.join(filter(None, guards))}")  # fmt: skip
+
+
+GROWS, FALLS, SHRINKS, VARIES = (
+    "grows without a limit", "falls without a limit", "comes ever closer to 0", "has no proven limit",
+)  # fmt: skip
+"""How a change leads to ever more values."""
+
+
+def _way(change: GroundChange, begin: Value) -> str | None:
+    """Return how a change leads to ever more values of a fluent that begins with a value; None if it does not."""
+    if change.grows:
+        amount = literal_number(change.amount)
+        return VARIES if amount is None else GROWS if amount > 0 else FALLS if amount < 0 else None
+    if literal_number(change.amount) is not None:
+        return None
+    split = linear(change.amount, lambda each: not terms_of(each))
+    if split is None or list(split[0]) != [f"({' '.join(change.fluent)})"] or begin is None or begin < 0:
+        return VARIES
+    ((_, factor),), more = split[0].values(), literal_number(split[1])
+    if more is not None and factor >= 1 and more >= 0 and (more > 0 or (factor > 1 and begin > 0)):
+        return GROWS
+    return SHRINKS if more == 0 and 0 < factor < 1 and begin > 0 else VARIES
 
 
 @dataclass

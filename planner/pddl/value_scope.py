@@ -117,9 +117,21 @@ class Scope:
             whole = dict(zip(everything, row, strict=True))
             if all(whole[name] == bound[name] for name in bound):
                 arguments = " ".join(whole.values())
-                refuse(self.encoder.file, expression.place if expression.place.line else self.place,
-                       f"action '{self.name}' divides by zero in '{shown(expression)}' for ({arguments}); expected a "
+                inner = [each for each in expression.walk() if each.head == "/" and self._fails(each, bound)][-1]
+                for_them = f" for ({arguments})" if arguments else ""
+                refuse(self.encoder.file, inner.place if inner.place.line else self.place,
+                       f"action '{self.name}' divides by zero in '{shown(inner)}'{for_them}; expected a "
                        "divisor other than 0")  # fmt: skip
+
+    def _fails(self, expression: Expression, bound: Mapping[str, str]) -> bool:
+        """Whether a static expression divides by zero."""
+        try:
+            self.statics.value(expression, bound)
+        except ZeroDivisionError:
+            return True
+        except ArithmeticError:
+            pass
+        return False
 
     def measured(self, expression: Expression) -> Sum:
         """Return a variable for the value of a static expression."""

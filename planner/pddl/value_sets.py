@@ -16,7 +16,6 @@ from enum import Enum
 from fractions import Fraction
 from typing import Any
 
-from ..system.errors import UnsuitedError
 from .conditions import (
     COMPLEMENT,
     FALSE,
@@ -120,6 +119,8 @@ class ValueSets:
     """Fluents of which a value has been left out that may be reachable."""
     unbounded: Fluent | None = None
     """A fluent with more values than allowed, at which the search ended; the sets are not complete then."""
+    costly: bool = False
+    """Whether the search ended after `MOST_STEPS` combinations; the sets are not complete then."""
 
 
 def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -> list[GroundChange]:
@@ -295,10 +296,9 @@ def computed(
 ) -> ValueSets:
     """Return the values of all fluents.
 
-    The search ends at a fluent with more than `limit` values; more than `MOST_STEPS` combinations raise an
-    `UnsuitedError`. A condition on several fluents is used up to `together` combinations of their values. Fluents
-    of the functions that are `tried` have the values of the `trial`, and those that are assigned or with which they
-    begin.
+    The search ends at a fluent with more than `limit` values, and after `MOST_STEPS` combinations. A condition on
+    several fluents is used up to `together` combinations of their values. Fluents of the functions that are `tried`
+    have the values of the `trial`, and those that are assigned or with which they begin.
     """
     changes = list(changes)
     begin = dict(initial)
@@ -362,7 +362,8 @@ def computed(
                 if found.unbounded is not None:
                     return found
             if steps > MOST_STEPS:
-                raise UnsuitedError("the sets of values are too expensive to compute")
+                found.costly = True
+                return found
     return found
 
 

@@ -182,6 +182,17 @@ def test_the_first_plan_of_a_task_with_rules_does_not_wait_for_its_sweep(
     assert seen[0]["note"].endswith(SWEEPING)
 
 
+def test_a_number_without_a_bound_is_said_once(tmp_path: Path) -> None:
+    domain = """(define (domain d) (:requirements :fluents) (:predicates (done)) (:functions (n))
+      (:action halve :parameters () :effect (scale-down (n) 2))
+      (:action stop :parameters () :precondition (= (n) 0.25) :effect (done)))"""
+    file = write_instance(tmp_path, domain, "(define (problem p) (:domain d) (:init (= (n) 1)) (:goal (done)))")
+    done = invoke("solve", file.problem)
+    assert done.exit_code == 0
+    said = "(n) comes ever closer to 0 (halve): no bound is proven, so that states are solved on demand"
+    assert done.stderr == f"{file.problem}: {said}\n"
+
+
 def test_a_type_and_a_predicate_of_one_name_are_said_once(tmp_path: Path) -> None:
     """unified-planning does not read such files; their other notes are those of each."""
     texts = [text.replace("GO", "2").replace("(free)", "(bin)") for text in (DOMAIN, PROBLEM)]
@@ -192,7 +203,8 @@ def test_a_type_and_a_predicate_of_one_name_are_said_once(tmp_path: Path) -> Non
     assert (done.exit_code, done.stdout.count(" solved ")) == (0, 3)
     lines = done.stderr.splitlines()
     assert len(lines) == 2, done.stderr
-    assert "not checked by unified-planning" in lines[0]
+    assert "not checked by unified-planning: it says '" in lines[0]
+    assert "environment flag" not in lines[0]
     assert lines[1] == f"2 other instances: {lines[0].partition(': ')[2]}"
 
 

@@ -139,6 +139,48 @@ CASES = {
         cost="9",
         states=2,
     ),
+    "changes under conditions that exclude each other": Case(
+        "(:functions (n) (m)) (:predicates (p)) (:action turn :parameters () :precondition (<= (m) 5) :effect (and "
+        "(when (= (n) 1) (assign (n) 2)) (when (= (n) 2) (assign (n) (- (m) 1))) (when (> (n) 2) (decrease (n) 2)) "
+        "(increase (m) 1))) (:action press :parameters () :effect (p)) (:action add :parameters () :precondition "
+        "(and (= (n) 3) (= (m) 5)) :effect (and (when (p) (assign (n) 9)) (when (not (p)) (increase (n) 4))))",
+        "(:init (= (n) 1) (= (m) 2)) (:goal (= (n) 9))",
+        cost="5",
+        states=16,
+    ),
+    "changes under conditions that may hold together": Case(
+        "(:functions (n)) (:predicates (p)) (:action turn :parameters () :effect (and (when (p) (assign (n) 2)) "
+        "(when (> (n) 4) (increase (n) 1))))",
+        "(:init (= (n) 1)) (:goal (= (n) 2))",
+        said="action 'turn' perhaps changes '(n)' twice at one time, on line",
+    ),
+    "changes for all objects under conditions of another one": Case(
+        "(:types bin) (:predicates (p ?b - bin)) (:functions (n)) (:action turn :parameters (?a - bin) :effect "
+        "(forall (?b - bin) (and (when (p ?b) (assign (n) 2)) (when (not (p ?b)) (assign (n) 1)))))"
+        "(:action flip :parameters (?a - bin) :effect (not (p ?a)))",
+        "(:objects x y - bin) (:init (= (n) 0) (p x)) (:goal (= (n) 2))",
+        said="action 'turn' perhaps changes '(n)' twice at one time, on line",
+    ),
+    "halved without a limit": Case(
+        "(:functions (n)) (:predicates (done)) (:action halve :parameters () :effect (scale-down (n) 2)) (:action "
+        "stop :parameters () :precondition (= (n) 0.3) :effect (done))",
+        "(:init (= (n) 1)) (:goal (done))",
+        said="(n) comes ever closer to 0 (halve); expected conditions that bound it, such as (>= (n) LEAST) where",
+    ),
+    "halved to a limit": Case(
+        "(:functions (n)) (:predicates (done)) (:action halve :parameters () :precondition (>= (n) 0.2) :effect "
+        "(scale-down (n) 2)) (:action stop :parameters () :precondition (= (n) 0.125) :effect (done))",
+        "(:init (= (n) 1)) (:goal (done))",
+        cost="4",
+        states=5,
+    ),
+    "a number computed from others": Case(
+        "(:functions (a) (b)) (:predicates (done)) (:action sum :parameters () :precondition (< (a) 50) :effect (and "
+        "(assign (a) (+ (a) (b))) (assign (b) (a)))) (:action part :parameters () :precondition (> (a) 1) :effect "
+        "(scale-down (a) (b))) (:action stop :parameters () :precondition (= (a) 1.5) :effect (done))",
+        "(:init (= (a) 1) (= (b) 1)) (:goal (done))",
+        said="(a) has no proven limit (part, sum); expected conditions",
+    ),
     "unbounded": Case(
         "(:functions (n)) (:predicates (done)) (:action up :parameters () :precondition (and) :effect (increase "
         "(n) 2)) (:action down :parameters () :precondition (and) :effect (decrease (n) 3)) (:action stop "

@@ -42,6 +42,10 @@ WRONG = [
         "(/ (far ?a ?b) (rate)))",
     ),
     (
+        "domain.pddl:7: action 'take' divides by zero in '(/ 1 (rate))' for (x); expected a divisor other than 0",
+        "(>= (stock ?b) 1)", "(or (ready) (= (/ 1 (rate)) 2))",
+    ),
+    (
         "domain.pddl:8: no such function 'stok' in (:functions ...); did you mean 'stock'?",
         "(decrease (stock ?b) 1)", "(decrease (stok ?b) 1)",
     ),

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from planner import LimitError, Limits, PDDLError, Task, astar, cost_to_go, instance, load, sweep
+from planner.pddl.compilation import compiled
 from planner.pddl.reader import read
 
 FREE = """(:functions (n)) (:action up :parameters () :effect (increase (n) 2))
@@ -33,6 +34,20 @@ def test_a_swing_is_swept_once_all_its_states_are_known(tmp_path: Path) -> None:
     assert not task.beyond
     assert (len(table), table[table.initial]) == (19, 8)  # up and down in turn, k from 0 to 9: n falls by one each time
     assert not any("beyond" in fact for variable in task.variables for fact in variable.facts)
+
+
+@pytest.mark.cases
+def test_a_sum_of_numbers_that_nothing_bounds_is_swept_or_names_one_of_them(tmp_path: Path) -> None:
+    """Each tick adds both numbers to the sum: 0 + 1, then 1 + 2, then 2 + 3, where it has 9."""
+    domain = """(:types bin) (:predicates (open ?b - bin) (done)) (:functions (n ?b - bin) (sum))
+      (:action tick :parameters () :precondition (< (sum) 9) :effect (forall (?b - bin) (and
+        (increase (sum) (n ?b)) (when (open ?b) (increase (n ?b) 1)) (when (>= (n ?b) 2) (not (open ?b))))))
+      (:action fin :parameters () :precondition (and (exists (?b - bin) (> (n ?b) 2)) (= (sum) 9)) :effect (done))"""
+    begin = "(:objects x y - bin) (:init (= (n x) 0) (= (n y) 1) (open x) (open y) (= (sum) 0))"
+    table = sweep(loaded(tmp_path, domain, f"{begin} (:goal (done))"))
+    assert (len(table), table[table.initial]) == (5, 4)
+    with pytest.raises(PDDLError, match=r"\(n x\) grows without a limit \(tick\)"):
+        compiled(read(instance(tmp_path / "p.pddl")))
 
 
 def test_too_little_time_is_no_refusal_of_the_file(tmp_path: Path) -> None:
