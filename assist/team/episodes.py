@@ -142,7 +142,9 @@ class Episodes(Result):
         names = [field.name for field in fields(cls) if getattr(parts[0], field.name) is not None]
         names = [name for name in names if name not in ("policy", "names", "c_suggest_too_high")]
         arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        return cls(parts[0].policy, names=parts[0].names, **arrays)
+        costs = [part.c_suggest_too_high for part in parts]
+        none_made = None if None in costs else costs[0]
+        return cls(parts[0].policy, names=parts[0].names, c_suggest_too_high=none_made, **arrays)
 
     def summary(self) -> Summary:
         """Return means and their standard errors."""

@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from ...person.settings import Setting
 from ...team.episodes import Episodes
 from ...team.policies import by_name
 from ...team.pool import Pool, require_pool
+from ...team.requested import Conditions
 from ...team.simulate import simulate
 from ...team.state import TeamPolicy
 from .compared_policies import ComparedPolicy, PolicyComparison, baseline_of
@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 SETTINGS = tuple(each.name for each in fields(Setting))
 """What may be varied by its name."""
+
+CONDITIONS = ("trace", *sorted(Conditions.__optional_keys__ - {"name", "time_limit"}))
+"""Further arguments of `simulate`; the names of policies and the time limit are those of the comparison."""
 
 FIRST_PORTION = 64
 """Episodes of each policy in the first portion; later ones are twice as large as the one before."""
@@ -82,7 +85,8 @@ def compare(
     **options
         Fields of `Setting` in place of the pool's: a value, or for one of them a list of values, each of which is a
         condition with the same people, such as `c_suggest=[0.1, 1.0]`. And further arguments of `simulate`, such as
-        `jobs`, `goals` or `world`.
+        `jobs`, `goals` or `world`. A bound is for people who are present from the beginning and whose goals are
+        inferred; it is that of the robot's model, in which policies are simulated again for their gaps.
 
     Returns
     -------
@@ -96,7 +100,7 @@ def compare(
         A parameter is out of its range, a policy is unknown, or two have one name.
     """
     assert callable(progress)
-    known = [*SETTINGS, *signature(simulate).parameters]
+    known = [*SETTINGS, *CONDITIONS]
     unknown = next((name for name in options if name not in known), None)
     if unknown is not None:
         raise TypeError(f"compare has no argument {unknown!r}; {expected(unknown, known)}")
@@ -110,6 +114,8 @@ def compare(
     if not 0 < level < 1:
         raise ValueError(f"level {level}: expected a number between 0 and 1")
     options["seed"] = entropy(seed)
+    if certified is not False:
+        _require_bound(options)
     gap = None if certified is False else positive("certified", GAP if certified is True else certified)
     count, limit = whole("episodes", episodes, 1), None if time_limit is None else positive("time_limit", time_limit)
     conditions = len(pools) * len(teams)
@@ -183,11 +189,20 @@ class _Comparing:
     ) -> dict[str, Certificate]:
         from ...certify.comparison import certify  # which a comparison without bounds need not compile
 
+        also = {name: self.options[name] for name in ("travel", "jobs") if name in self.options}
         _, found = certify(
             pool, policies, team=range(team) if isinstance(team, int) else team, episodes=max(self.episodes, 2),
-            seed=self.options["seed"], gap=self.gap, time_limit=self.seconds, progress=tell,
+            seed=self.options["seed"], gap=self.gap, time_limit=self.seconds, progress=tell, **also,
         )  # fmt: skip
         return {certificate.policy: certificate for certificate in found}
+
+
+def _require_bound(options: Mapping[str, Any]) -> None:
+    """Check that the conditions of a simulation are among those for which there are bounds."""
+    if options.get("presence") is not None:
+        raise ValueError("certified and presence: expected one of them, as a bound is for people who are all present")
+    if (goals := options.get("goals", "inferred")) != "inferred":
+        raise ValueError(f"certified and goals {goals!r}: expected goals 'inferred', for which there is a bound")
 
 
 def _teams(humans: int | Iterable[int] | Iterable[str]) -> list[int | list[str]]:

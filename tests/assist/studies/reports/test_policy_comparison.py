@@ -18,6 +18,7 @@ from assist.certify import certify
 from assist.person import Setting
 from assist.studies.reports import PolicyComparison, comparison_of
 from assist.team import TeamAction, TeamState
+from assist.team.episodes import Episodes
 from planner import cost_to_go
 
 POLICIES = ["none", "reactive", "attention"]
@@ -55,6 +56,47 @@ def test_portions_within_a_time_limit_are_the_same_episodes(pool: Pool, found: P
     assert limited == found  # the first portion has more episodes than were asked for
     fewer = compare(pool, ["none"], humans=2, episodes=100, seed=1, time_limit=1e-9)
     assert fewer[0].summary.episodes == 64
+
+
+@pytest.mark.cases
+def test_that_no_suggestion_was_worth_its_cost_is_said_after_several_portions(pool: Pool) -> None:
+    options: dict[str, Any] = {"humans": 2, "episodes": 100, "seed": 1}
+    dear = pool.under(replace(pool.setting, c_suggest=100.0))
+    found = compare(dear, ["none", "attention"], **options)
+    assert len(found.notes()) == 1
+    assert compare(dear, ["none", "attention"], time_limit=60.0, **options) == found
+    mixed = [replace(simulate(pool, "none", **options), c_suggest_too_high=cost) for cost in (100.0, None)]
+    assert Episodes.joined(mixed).c_suggest_too_high is None
+
+
+@pytest.mark.cases
+def test_what_simulate_takes_compare_takes(pool: Pool) -> None:
+    far = Setting(c_move=1.0).travel(2, distance=[[0, 3, 3], [3, 0, 3], [3, 3, 0]])
+    for options in ({"jobs": 2}, {"world": "model"}, {"goals": "known"}, {"travel": far}, {"presence": None}):
+        run = simulate(pool, "attention", humans=2, episodes=20, seed=1, **options)
+        found = compare(pool, ["attention"], humans=2, episodes=20, seed=1, **options)
+        assert found[0].means["discounted_return"].value == run.discounted_return.mean(), options
+    for name in ("name", "polcy"):
+        with pytest.raises(TypeError, match=f"compare has no argument '{name}'"):
+            compare(pool, ["none"], episodes=2, **{name: "x"})
+
+
+@pytest.mark.cases
+def test_a_bound_is_that_of_the_conditions_of_the_comparison_or_refused(pool: Pool) -> None:
+    far = Setting(c_move=1.0).travel(2, distance=[[0, 3, 3], [3, 0, 3], [3, 3, 0]])
+    gaps = {}
+    for travel in (None, far):
+        more = {"humans": 2, "episodes": 20, "seed": 1, "travel": travel}
+        (row,) = compare(pool, ["none"], certified=0.1, **more)
+        assert row.certificate is not None
+        gaps[travel is None] = row.certificate.upper
+        _, (own,) = certify(pool, ["none"], team=range(2), episodes=20, seed=1, gap=0.1, travel=travel)
+        assert row.certificate.upper == own.upper
+    assert gaps[False] < gaps[True]  # where moves cost more, policies can reach less
+    with pytest.raises(ValueError, match="certified and goals 'known': expected goals 'inferred'"):
+        compare(pool, ["none"], certified=True, goals="known")
+    with pytest.raises(ValueError, match="certified and presence"):
+        compare(pool, ["none"], certified=True, presence=object())
 
 
 def test_the_frame_is_tidy(found: PolicyComparison) -> None:
