@@ -157,6 +157,7 @@ def test_processes_that_start_together_compile_a_function_once(tmp_path: Path) -
     assert said == [["4", "0", "0"], ["4", "1", "1"]]
 
 
+@pytest.mark.slow
 def test_numba_can_be_switched_off() -> None:
     code = "from assist.people.influence_kernels import update_trust; print(update_trust(0.5, 0.0, 1.0))"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
