@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from gates_records import first_difference, hashed, weights
+from silence import ThreeInARow
 
 from assist.people import Goals, Population
 from assist.people.neighbours import Neighbours
@@ -71,6 +72,7 @@ AXES: dict[str, dict[str, Feature]] = {
         "disagreement": Feature({"trust": "outcome-at-disagreement"}),
         "reliability": Feature({"trust": "reliability"}),
         "believed constant": Feature({"believed_trust": "constant"}),
+        "three in a row": Feature({"trust": ThreeInARow(0.2, 0.05)}),
     },
     "people": {
         "noise of actions": Feature(pool={"population": Population(noise="action")}),

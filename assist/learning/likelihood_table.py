@@ -15,10 +15,11 @@ from planner.system.arrays import read_only
 from planner.system.errors import InputFileError
 from planner.system.results import ByContent
 
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
+from ..people.neighbours import parts_of
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.sights import SightTable
-from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule
+from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule, sees_silence
 from .evidence import Evidence
 from .likelihood import Data, Method, largest_beta, with_trust, without_trust
 from .neighbours_in_logs import with_neighbours
@@ -65,6 +66,9 @@ class LikelihoodTable(ByContent):
         Nodes.
     seen : SightTable
         What each person saw of neighbours.
+    silences : int array, shape (K, H + 1, 2)
+        Number of steps without a suggestion before each suggestion, in earlier episodes and in its own; at last those
+        after the last suggestion.
     """
 
     people: tuple[str, ...]
@@ -79,6 +83,7 @@ class LikelihoodTable(ByContent):
     beta: Floats
     theta: Floats
     seen: SightTable
+    silences: Ints
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -109,10 +114,12 @@ class LikelihoodTable(ByContent):
         heard = np.array([len(data.heard) for data in every], dtype=np.int64)
         shape = (len(every), int(heard.max(initial=0)))
         anew, followed, agrees, optimal = (np.zeros(shape, dtype=bool) for _ in range(4))
-        gain = np.zeros(shape)
+        gain, silences = np.zeros(shape), np.zeros((shape[0], shape[1] + 1, 2), dtype=np.int64)
         alone = [without_trust(data, beta) for data in every]
         for k, (o, data) in enumerate(zip(observations, every, strict=True)):
-            goal, step = (of_pairs[data.heard] for of_pairs in np.nonzero(~o.goals.reached))
+            goal, step = np.nonzero(~o.goals.reached)
+            _count_silences(silences[k], data, o.begins.cumsum()[step] * len(o.goals.prior) + goal)
+            goal, step = goal[data.heard], step[data.heard]
             slot, to = o.suggested[step], slice(0, len(data.heard))
             anew[k, to], followed[k, to], gain[k, to] = data.anew, o.chosen[step] == slot, o.by_goal("gain")[goal, step]
             agrees[k, to], optimal[k, to] = (
@@ -123,7 +130,7 @@ class LikelihoodTable(ByContent):
             tuple(o.person for o in observations), np.array([len(o) for o in observations]), heard, anew, followed,
             tuple(every), tuple(silent for _, silent in alone), tuple(chances for chances, _ in alone),
             PerceivedSuggestions(gain, agrees, optimal), beta, theta,
-            SightTable.of([o.seen for o in observations], heard.tolist(), shape[1]),
+            SightTable.of([o.seen for o in observations], heard.tolist(), shape[1]), silences,
         )  # fmt: skip
 
     @classmethod
@@ -172,21 +179,36 @@ class LikelihoodTable(ByContent):
         rule : TrustRule
         carry : bool
             Whether theta is carried from episode to episode; otherwise each begins with theta_0.
+
+        Raises
+        ------
+        ValueError
+            The rule sees silence, and people saw neighbours at times in between that are not known.
         """
-        seen = vars(self.suggestions.event(self.followed, rule.feedback))
+        own, steps = parts_of(rule)[0], np.zeros_like(self.silences)
+        if sees_silence(own):
+            steps = self.silences
+            if self.seen.events.size:
+                raise ValueError(
+                    f"trust {type(own).__name__}: expected a rule that does not see steps without a suggestion, as "
+                    "people saw neighbours in between"
+                )
+        seen = vars(self.suggestions.event(self.followed, rule.feedback, np.ones_like(self.followed)))
         start = np.broadcast_to(self.theta, (len(self.people), len(self.theta)))
         theta, before = start, np.empty((*self.followed.shape, len(self.theta)))
         none = count = np.zeros((len(self.people), 1), dtype=np.int64)
         see = self.seen.moves(rule)
         for h in range(self.followed.shape[1]):
-            theta = see(theta, h, False)
+            theta, count = _after_silences(own, see(theta, h, False), count, steps[:, h, 0])
             if not carry:
                 theta = np.where(self.anew[:, h, None], start, theta)
                 count = np.where(self.anew[:, h, None], none, count)
-            before[:, h] = theta = see(theta, h, True)
+            theta, count = _after_silences(own, see(theta, h, True), count, steps[:, h, 1])
+            before[:, h] = theta
             # What fills up the arrays comes after a person's last suggestion, so that it may move the count.
-            after, count = moved(rule, theta, count, Event(**{name: array[:, h, None] for name, array in seen.items()}))
+            after, count = moved(own, theta, count, Event(**{name: array[:, h, None] for name, array in seen.items()}))
             theta = np.where(h < self.heard[:, None], after, theta)
+        theta, _ = _after_silences(own, theta, count, steps[:, -1, 0])
         return before, see(see(theta, -1, False), -1, True)
 
     def log_likelihood(self, rule: TrustRule, *, carry: bool = True) -> Floats:
@@ -197,6 +219,24 @@ class LikelihoodTable(ByContent):
             for k, data in enumerate(self.data)
         ]
         return np.array(found).reshape(len(found), len(self.beta), len(self.theta))
+
+
+def _count_silences(counted: Ints, data: Data, episode: Ints) -> None:
+    """Count one person's steps without a suggestion, shape (H + 1, 2); `episode` is that of each step of the data."""
+    steps = np.flatnonzero(data.suggested == NOTHING)
+    place = np.searchsorted(data.heard, steps)
+    last = place == len(data.heard)
+    now = np.zeros_like(last)
+    now[~last] = episode[steps[~last]] == episode[data.heard[place[~last]]]
+    np.add.at(counted, (np.where(last, len(counted) - 1, place), now.astype(np.int64)), 1)
+
+
+def _after_silences(rule: TrustRule, theta: Floats, count: Ints, steps: Ints) -> tuple[Floats, Ints]:
+    """Return theta, shape (K, T), and the counts of a rule, (K, 1), after a number of steps of each person, (K,)."""
+    for n in range(int(steps.max(initial=0))):
+        found, number = moved(rule, theta, count, Event.silent())
+        theta, count = np.where(n < steps[:, None], found, theta), np.where(n < steps[:, None], number, count)
+    return theta, count
 
 
 def log_likelihood(

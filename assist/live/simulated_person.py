@@ -21,7 +21,7 @@ from ..people.human import Human
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.ranges import Population
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
-from ..people.trust_rules import EquationSeven, TrustRule
+from ..people.trust_rules import EquationSeven, Event, TrustRule
 from ..people.weighted_choice import Weighted
 from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel
@@ -117,18 +117,19 @@ class SimulatedPerson:
         counts = np.array([[choices.applicable[0].sum()]])
         number = self.rng.random() if uniform is None else uniform
         done = int(drawn_slots(p, counts, 0.0, np.array([number]))[0])
-        if suggested != NOTHING:
-            self._trusts(choices, suggested, followed=done == suggested)
+        self._trusts(choices, suggested, followed=done == suggested)
         self._last = _Step(task, state, int(rows.actions[done]), int(rows.targets[done]))
         return names[done]
 
     def _trusts(self, choices: Choices, slot: int, *, followed: bool) -> None:
-        """Update theta after a suggestion in the state of the first row."""
-        q, value = perceived_cost(choices, self.human.expects(choices)), self.human.value(choices)
-        perceived = PerceivedSuggestions.of(
-            q[0, slot], q[0].min(), value[0], value[choices.targets[0, slot]], choices.optimal[0, slot]
-        )
-        event = perceived.event(np.array(followed), self._trust.feedback)
+        """Update theta after a step in the state of the first row; `slot` is the suggestion, or `NOTHING`."""
+        event = Event.silent()
+        if slot != NOTHING:
+            q, value = perceived_cost(choices, self.human.expects(choices)), self.human.value(choices)
+            perceived = PerceivedSuggestions.of(
+                q[0, slot], q[0].min(), value[0], value[choices.targets[0, slot]], choices.optimal[0, slot]
+            )
+            event = perceived.event(np.array(followed), self._trust.feedback)
         theta, self._count = moved(self._trust, np.array(self.theta), self._count, event)
         self.theta = float(theta)
 

@@ -6,7 +6,7 @@ also simulates people with it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from hashlib import sha256
 from typing import Any, get_args
@@ -14,7 +14,7 @@ from typing import Any, get_args
 from planner.system.errors import expected
 
 from ..declare.declared import is_declared
-from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, rule_of
+from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, rule_of, sees_silence
 from .user_code import UserCodeError, UserTrustRule, parse
 
 THETAS, EVENTS = 11, 16
@@ -107,6 +107,8 @@ def digest(rule: Any) -> str:
             to, after = moved(rule, theta, np.full((THETAS, 1), count), _events(gain))
             content.update(np.broadcast_to(np.asarray(to, dtype=float), (THETAS, EVENTS)).tobytes())
             content.update(np.asarray(after, dtype=np.int64).tobytes())
+    for to, after in _after_silence(rule, theta):
+        content.update(np.broadcast_to(to, (THETAS, 1)).tobytes() + after.tobytes())
     return content.hexdigest()[:32]
 
 
@@ -150,7 +152,23 @@ def fault_of_updates(rule: Any, least: float = 0.0) -> str | None:
             counted = np.asarray(after)
             if not ((counted >= 0) & (counted <= most)).all():
                 return f"counts to {counted[(counted < 0) | (counted > most)][0]:g}; expected 0 to {most}"
+    for to, counted in _after_silence(rule, theta):
+        if not ((to >= 0) & (to <= 1)).all():
+            return f"leads to theta {to[~((to >= 0) & (to <= 1))][0]:g} in silence; expected a number from 0 to 1"
+        if not ((counted >= 0) & (counted <= most)).all():
+            return f"counts to {counted[(counted < 0) | (counted > most)][0]:g} in silence; expected 0 to {most}"
     return None
+
+
+def _after_silence(rule: Any, theta: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield theta and the count after a step without a suggestion, from each count, if the rule sees such steps."""
+    import numpy as np
+
+    from .perceived_suggestions import moved
+
+    for count in range(min(counts_of(rule), MOST_COUNTS) + 1 if sees_silence(rule) else 0):
+        to, after = moved(rule, theta.copy(), np.full((THETAS, 1), count), Event.silent())
+        yield np.asarray(to, dtype=float), np.asarray(after, dtype=np.int64)
 
 
 def _fault_of(rule: Any, to: Any, theta: Any, gain: float, count: int) -> str | None:

@@ -45,6 +45,12 @@ def influence_factors(theta: float, p: float, others: float) -> tuple[float, flo
 
 
 @njit()
+def factors_after(suggested: int, theta: float, p: float, others: float) -> tuple[float, float]:
+    """Return the factors as in `influence_factors`; 1 without a suggestion, if the suggested slot is negative."""
+    return influence_factors(theta, p, others) if suggested >= 0 else (1.0, 1.0)
+
+
+@njit()
 def update_trust(theta: float, eta: float, gain: float) -> float:
     """Return theta after a suggestion that changes the person's value by `gain` (equation 7), in units of `eta`."""
     if eta == 0.0 or gain == 0.0:

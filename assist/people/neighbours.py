@@ -30,7 +30,7 @@ from pydantic import BeforeValidator, Field, PlainValidator
 from planner.system.errors import expected
 
 from ..declare.declared import MOST, DeclarationError, Expected, Number, Truth, declared
-from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, TrustRule, counts_of
+from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, TrustRule, counts_of, sees_silence
 
 if TYPE_CHECKING:
     from .decision import Bools, Floats, Ints
@@ -209,6 +209,11 @@ class WithSeen:
     def counts(self) -> int:
         """As in the person's own rule."""
         return counts_of(self.own)
+
+    @property
+    def sees_silence(self) -> bool:
+        """As in the person's own rule."""
+        return sees_silence(self.own)
 
     def update(self, theta: Floats, event: Event, *count: Any) -> Floats:
         """Return theta after a suggestion to oneself."""

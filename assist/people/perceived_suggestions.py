@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from .decision import Bools, Floats, Ints
-from .trust_rules import Event, Feedback, TrustRule, counts_of
+from .trust_rules import Event, Feedback, TrustRule, counts_of, sees_silence
 
 
 def moved(rule: TrustRule, theta: Floats, count: Ints, event: Event) -> tuple[Floats, Ints]:
     """Return theta and the count of a rule after an event; the count stays 0 for rules without `counts`.
 
-    It is the number of outcomes that the person has seen, unless the rule has a method `counted(count, event)`.
+    Without a suggestion both stay, unless the rule has `sees_silence`. The count is the number of outcomes that the
+    person has seen, unless the rule has a method `counted(count, event)`.
 
     Parameters
     ----------
@@ -26,10 +27,14 @@ def moved(rule: TrustRule, theta: Floats, count: Ints, event: Event) -> tuple[Fl
     """
     most = counts_of(rule)
     if not most:
-        return rule.update(theta, event), count
-    counting: Any = rule
-    counted = getattr(rule, "counted", lambda count, event: np.minimum(count + event.shown, most))
-    return counting.update(theta, event, count), counted(count, event)
+        found, number = rule.update(theta, event), count
+    else:
+        counting: Any = rule
+        counted = getattr(rule, "counted", lambda count, event: np.minimum(count + event.shown, most))
+        found, number = counting.update(theta, event, count), counted(count, event)
+    if sees_silence(rule) or np.all(event.suggested):
+        return found, number
+    return np.where(event.suggested, found, theta), np.where(event.suggested, number, count)
 
 
 @dataclass(frozen=True)
@@ -67,8 +72,13 @@ class PerceivedSuggestions:
             gain = np.where(before == after, 0.0, np.subtract(after, before))
         return cls(gain, np.asarray(cost <= least), np.asarray(optimal))
 
-    def event(self, followed: Bools | bool, feedback: Feedback) -> Event:
-        """Return the event of these suggestions, followed or not, with what people see of the outcome."""
-        followed = np.asarray(followed)
-        right = self.optimal if feedback == "true" else self.gain > 0
-        return Event(self.gain, self.agrees, followed, followed & (feedback != "never"), right)
+    def event(self, followed: Bools | bool, feedback: Feedback, suggested: Bools | bool = True) -> Event:
+        """Return the event of these suggestions, followed or not, with what people see of the outcome.
+
+        Where `suggested` is False there was none, whatever the other values are.
+        """
+        suggested = np.asarray(suggested)
+        followed = followed & suggested
+        right = (self.optimal if feedback == "true" else self.gain > 0) & suggested
+        gain = np.where(suggested, self.gain, 0.0)
+        return Event(gain, self.agrees & suggested, followed, followed & (feedback != "never"), right, suggested)

@@ -12,7 +12,9 @@ sentence of its docstring, and a field with the mark `Fitted` is estimated from 
 A rule is a deterministic map of theta and an `Event`. The robot's problem of one person evaluates it at its grid of
 theta, and a simulation at the people's own values, so that there is one definition of each rule. Only equation (7), the
 default, is written a second time, in `person.dynamics`, for speed; tests compare the two. Where a rule has an
-attribute `counts`, the number of outcomes that a person has seen is part of the map, up to that number (`moved`).
+attribute `counts`, the number of outcomes that a person has seen is part of the map, up to that number.
+`perceived_suggestions.moved` applies a rule: simulations, live people and estimates call it at people's own theta, and
+`person.trust_shares` at the grid's, for the filter, the solvers and the bounds.
 """
 
 from __future__ import annotations
@@ -82,7 +84,9 @@ STEP = Fitted(0.0, LARGEST_STEP, (0.1, 0.4))
 
 @dataclass(frozen=True)
 class Event:
-    """A suggestion and the person's answer to it; arrays that broadcast with theta.
+    """A step in which people act, with a suggestion and their answer, or without; arrays that broadcast with theta.
+
+    Without a suggestion, `gain` is 0 and the others are False.
 
     Attributes
     ----------
@@ -96,6 +100,8 @@ class Event:
         Whether the person sees if the suggestion was right.
     right : bool array
         Whether the suggestion was right, by the outcome that the person sees.
+    suggested : bool array
+        Whether there was a suggestion; always, for rules without `sees_silence`.
     """
 
     gain: Floats
@@ -103,10 +109,20 @@ class Event:
     followed: Bools
     shown: Bools
     right: Bools
+    suggested: Bools | bool = True
+
+    @classmethod
+    def silent(cls) -> Event:
+        """Return the event of a step without a suggestion."""
+        import numpy as np
+
+        return cls(np.zeros(()), *(np.zeros((), dtype=bool) for _ in range(5)))
 
 
 class TrustRule(Protocol):
     """A map of theta and an event to the theta after it.
+
+    Two further attributes are optional: `counts` (`counts_of`) and `sees_silence`.
 
     Attributes
     ----------
@@ -272,6 +288,14 @@ class Reliability:
 def counts_of(rule: TrustRule) -> int:
     """Return how many outcomes a rule counts at most; 0 if theta is all that it depends on."""
     return int(getattr(rule, "counts", 0))
+
+
+def sees_silence(rule: TrustRule) -> bool:
+    """Return whether a rule is also applied in steps in which a person acts without a suggestion.
+
+    It says so by an attribute `sees_silence = True`. Under other rules, theta and the count stay in such steps.
+    """
+    return bool(getattr(rule, "sees_silence", False))
 
 
 def constant() -> LogitSteps:

@@ -179,6 +179,11 @@ class UserTrustRule(UserObject):
         return int(getattr(self.loaded, "counts", 0))
 
     @property
+    def sees_silence(self) -> bool:
+        """Whether the rule is applied in steps without a suggestion, too."""
+        return bool(getattr(self.loaded, "sees_silence", False))
+
+    @property
     def counted(self) -> Callable[[Ints, Any], Ints]:
         """How the rule counts; an AttributeError if it says nothing of that."""
         method = self.loaded.counted

@@ -39,7 +39,7 @@ def new_work(robots: int, thetas: int) -> Work:
 def action_values(work: Work, value: Floats, x: int, h: int, only: int, m: ProblemArrays) -> None:
     """Fill `work.q` with the Q-values of all robot actions (or of `only` one) in state x for one type.
 
-    The trust update after a suggestion is the same for all choices, or for all but the suggested one if the trust rule
+    The trust update is the same for all choices, or for all but the suggested one if the trust rule
     uses the answer. So the returns are interpolated in the sums without a suggestion, and not for each choice:
     `expected`, the expected return, and `mean`, that of a uniform choice (a lapse). If the suggested choice is almost
     certain, the sum over the other choices is recomputed, because a difference would lose precision.
@@ -72,7 +72,12 @@ def action_values(work: Work, value: Floats, x: int, h: int, only: int, m: Probl
                     mean[t] /= count
         if slot < 0:
             for t in range(thetas):
-                q[r, t] = (1.0 - lapse) * expected[t] + lapse * mean[t] - robot_costs[x, r]
+                e, lapsed = expected[t], mean[t]
+                if m.sees_silence:
+                    at, up = m.low[x, r, g, t], m.weight[x, r, g, t]
+                    e, lapsed = (1.0 - up) * expected[at], (1.0 - up) * mean[at]
+                    e, lapsed = e + up * expected[at + 1], lapsed + up * mean[at + 1]
+                q[r, t] = (1.0 - lapse) * e + lapse * lapsed - robot_costs[x, r]
             continue
         y, c, p, rest = targets[acting, slot], costs[acting, slot], chosen[acting, slot, h], m.unsuggested[x, r, h]
         small = p > 0.9  # whether the difference would lose precision

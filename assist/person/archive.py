@@ -73,7 +73,7 @@ def _unpack(cls: Any, arrays: Mapping[str, Any], prefix: str) -> Any:
                 continue
         if is_dataclass(hint):
             parts[name] = _unpack(hint, arrays, f"{key}.")
-        elif hint in (int, float, str):
+        elif hint in (bool, int, float, str):
             parts[name] = _of_kind(arrays[key], str if hint is str else np.float64, key).item()
         elif get_origin(hint) is Mapping:
             values = _of_kind(arrays[f"{key}.values"], np.float64, f"{key}.values")

@@ -20,7 +20,7 @@ from planner.system.jit import njit
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import Floats
 from ..people.hidden_type import Bools, Ints
-from ..people.influence_kernels import influence_factors
+from ..people.influence_kernels import factors_after
 from ..people.type_kernels import exclude_reached, is_mistake
 from .problem_arrays import Acts, ProblemArrays
 
@@ -48,7 +48,7 @@ def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: P
     thetas, mass = len(m.theta), 0.0
     acting, suggested = m.afterstate[x, robot], m.suggested[x, robot]
     steady, uniform = 1.0 - m.lapse, m.lapse / m.counts[acting]
-    if suggested < 0:
+    if suggested < 0 and not m.sees_silence:
         for h in range(len(belief) // thetas):
             likelihood = steady * m.chosen[acting, slot, h] + uniform
             part = 0.0  # sums of different types are computed at the same time
@@ -62,12 +62,12 @@ def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: P
         after[cell] = 0.0
     for h in range(len(belief) // thetas):
         p, others, g, first = m.chosen[x, suggested, h], m.unsuggested[x, robot, h], m.goal_of[h], h * thetas
-        plain = steady * m.chosen[x, slot, h]
+        plain = steady * m.chosen[acting, slot, h]
         for t in range(thetas):
             joint = belief[first + t]
             if joint == 0.0:
                 continue
-            follow_factor, decline_factor = influence_factors(m.theta[t], p, others)
+            follow_factor, decline_factor = factors_after(suggested, m.theta[t], p, others)
             if slot == suggested:
                 joint *= plain * follow_factor + uniform
                 at, up = first + m.followed_low[x, robot, g, t], m.followed_weight[x, robot, g, t]
@@ -179,7 +179,7 @@ def split(parts: Parts, belief: Floats, x: int, robot: int, m: ProblemArrays) ->
     followed, declined, complied, lapsed = parts
     acting, suggested = m.afterstate[x, robot], m.suggested[x, robot]
     steady, uniform = 1.0 - m.lapse, m.lapse / max(m.counts[acting], 1)
-    if suggested < 0:
+    if suggested < 0 and not m.sees_silence:
         for cell in range(len(belief)):
             followed[cell] = declined[cell] = steady * belief[cell]
             complied[cell] = lapsed[cell] = uniform * belief[cell]
@@ -193,8 +193,8 @@ def split(parts: Parts, belief: Floats, x: int, robot: int, m: ProblemArrays) ->
             continue
         h, t = cell // thetas, cell % thetas
         g = m.goal_of[h]
-        follow_factor, decline_factor = influence_factors(
-            m.theta[t], m.chosen[x, suggested, h], m.unsuggested[x, robot, h]
+        follow_factor, decline_factor = factors_after(
+            suggested, m.theta[t], m.chosen[x, suggested, h], m.unsuggested[x, robot, h]
         )
         at, up = cell - t + m.followed_low[x, robot, g, t], m.followed_weight[x, robot, g, t]
         followed[at] += steady * follow_factor * (1.0 - up) * mass

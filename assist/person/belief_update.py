@@ -71,7 +71,8 @@ def factors_of(theta: Floats, p: Floats, others: Floats) -> tuple[Floats, Floats
 def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArrays) -> tuple[Floats, Floats]:
     """Return unnormalised posteriors after one choice each, shape (N, H, T), and their masses, shape (N,).
 
-    They are the belief times the likelihood under the theta before, with theta then moved by `low` and `weight`.
+    They are the belief times the likelihood under the theta before, with theta then moved by `low` and `weight`. Where
+    nothing was suggested, these leave theta as it is, unless the trust rule sees silence.
 
     Parameters
     ----------
@@ -85,20 +86,22 @@ def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArray
     steady, uniform = 1.0 - m.lapse, m.lapse / m.counts[acting]
     after, mass = np.empty_like(cells), np.empty(len(x))
 
-    alone = np.flatnonzero(suggested < 0)
+    stays = (suggested < 0) & (not m.sees_silence)
+    alone = np.flatnonzero(stays)
     likelihood = steady * m.chosen[acting[alone], slot[alone]] + uniform[alone, None]
     after[alone] = likelihood[:, :, None] * cells[alone]
     mass[alone] = in_order(in_order(after[alone]))
 
-    rows = np.flatnonzero(suggested >= 0)
+    rows = np.flatnonzero(~stays)
     if not len(rows):
         return after, mass
-    x, robot, slot, suggested, uniform = x[rows], robot[rows], slot[rows], suggested[rows], uniform[rows]
-    answers = (slot == suggested)[:, None]
+    x, robot, slot, acting = x[rows], robot[rows], slot[rows], acting[rows]
+    suggested, uniform = suggested[rows], uniform[rows]
+    answers, silent = (slot == suggested)[:, None], (suggested < 0)[:, None, None]
     # After a suggestion people act in x itself: there `afterstate` is x.
     factors = factors_of(m.theta, m.chosen[x, suggested][:, :, None], m.unsuggested[x, robot][:, :, None])
-    factor = np.where(answers[:, :, None], *factors)
-    plain = steady * m.chosen[x, slot]
+    factor = np.where(silent, 1.0, np.where(answers[:, :, None], *factors))
+    plain = steady * m.chosen[acting, slot]
     joint = cells[rows] * (plain[:, :, None] * factor + uniform[:, None, None])
     mass[rows] = in_order(joint.reshape(len(rows), types * thetas))
     followed = answers[:, :, None]

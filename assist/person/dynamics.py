@@ -36,8 +36,8 @@ def act_readable(people: Ints, them: PeopleArrays, minds: Minds, m: ProblemArray
     slot = drawn_slots(influenced(p, suggestion, theta), counts, minds.lapse, them.uniform[people, 0])
     y = m.targets[acting, slot]
     them.slot[people], them.cost[people] = slot, m.costs[acting, slot]
-    advised = np.flatnonzero(suggestion >= 0)
-    _trust(advised, people, x, heard, slot == suggestion, them, minds, m)
+    moving = np.flatnonzero((suggestion >= 0) | (m.sees_silence and minds.on_grid))
+    _trust(moving, people, x, heard, slot == suggestion, them, minds, m)
     them.x[people] = y
 
 
@@ -83,16 +83,16 @@ def drawn_slots(p: Floats, counts: Ints, lapse: float, uniform: Floats) -> Ints:
 
 
 def _trust(
-    advised: Ints, people: Ints, x: Ints, heard: Ints,
+    moving: Ints, people: Ints, x: Ints, heard: Ints,
     followed: Bools, them: PeopleArrays, minds: Minds, m: ProblemArrays,
 ) -> None:  # fmt: skip
-    """Update theta of the people who got a suggestion, given by their places in `people`."""
-    people, x, heard = people[advised], x[advised], heard[advised]
+    """Update theta of those people whom it moves, given by their places in `people`: after suggestions at least."""
+    people, x, heard = people[moving], x[moving], heard[moving]
     theta, outcomes = them.theta[people], them.outcomes[people]
     if minds.on_grid:
         each = int(np.argmin(np.append(np.diff(m.theta) > 0, False))) + 1  # thetas repeat for each count of outcomes
         t = outcomes * each + np.searchsorted(m.theta[:each], theta)
-        answers = followed[advised]
+        answers = followed[moving]
         at = x, heard, minds.goal[them.who[people]], t
         low = np.where(answers, m.followed_low[at], m.low[at])
         up = np.where(answers, m.followed_weight[at], m.weight[at])

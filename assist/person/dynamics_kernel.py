@@ -36,7 +36,7 @@ def act_compiled(people: NDArray[np.int64], them: PeopleArrays, minds: Minds, m:
         slot = _draw(p, count, minds.lapse, them.uniform[i, 0])
         y = m.targets[acting, slot]
         them.slot[i], them.cost[i] = slot, m.costs[acting, slot]
-        if suggestion >= 0:
+        if suggestion >= 0 or (m.sees_silence and minds.on_grid):
             if minds.on_grid:
                 t = them.outcomes[i] * each + np.searchsorted(m.theta[:each], theta)
                 low, up = m.low[x, heard, g, t], m.weight[x, heard, g, t]

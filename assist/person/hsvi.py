@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from ..people.influence_kernels import influence_factors
+from ..people.influence_kernels import factors_after
 from ..people.type_kernels import leave_out_reached
 from .belief_filter import Parts, child, new_parts, split
 from .belief_hulls import NONE, UpperHull, add_point, dot, upper
@@ -210,22 +210,22 @@ def _backup_vector(x, r, room, vectors, m):
                     mean[t] += u / count
         for t in range(thetas):
             v = (1.0 - m.lapse) * declined[t] + m.lapse * mean[t]
-            if slot >= 0:
-                v = _entry_after_suggestion(parts, x, r, h, t, m)
+            if slot >= 0 or m.sees_silence:
+                v = _entry_where_theta_moves(parts, x, r, h, t, m)
             v -= m.robot_costs[x, r]
             part[t] = v - margin * abs(v)
 
 
 @njit()
-def _entry_after_suggestion(parts, x, r, h, t, m):
-    """Return the entry of an alpha vector at type h and theta t after a suggestion, which influences and moves theta.
+def _entry_where_theta_moves(parts, x, r, h, t, m):
+    """Return the entry of an alpha vector at type h and theta t, where a suggestion or its absence moves theta.
 
     This is the transpose of `belief_filter.split`.
     """
     followed, declined, complied, mean = parts
     g = m.goal_of[h]
     slot, at, up = m.suggested[x, r], m.low[x, r, g, t], m.weight[x, r, g, t]
-    follow_factor, decline_factor = influence_factors(m.theta[t], m.chosen[x, slot, h], m.unsuggested[x, r, h])
+    follow_factor, decline_factor = factors_after(slot, m.theta[t], m.chosen[x, slot, h], m.unsuggested[x, r, h])
     if not m.uses_answer:
         return (1.0 - m.lapse) * (
             (1.0 - up) * (follow_factor * followed[at] + decline_factor * declined[at])

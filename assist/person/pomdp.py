@@ -28,7 +28,7 @@ from ..people.decision import NOTHING, Bools, Floats, Ints
 from ..people.hidden_type import HiddenType
 from ..people.human import HumanModel
 from ..people.ranges import Population, require_populations
-from ..people.trust_rules import EquationSeven, counts_of
+from ..people.trust_rules import EquationSeven, counts_of, sees_silence
 from .behaviour import PAPER, Behaviour
 from .leaf_bounds import LeafBounds
 from .robot_actions import RobotActions
@@ -69,6 +69,8 @@ class AssistPOMDP:
     followed_low, followed_weight : int and float arrays, shape (n, R, G, T), or None
         The same if the person does what was suggested, so that `low` and `weight` hold if not; None if the trust rule
         does not use the answer.
+    sees_silence : bool
+        Whether theta also moves in a step without a suggestion, that is, after robot actions that suggest nothing.
     frontier : LeafBounds or None
         Frontier states and their bounds, if the problem is truncated.
     order : int array, shape (G, n), or None
@@ -95,6 +97,7 @@ class AssistPOMDP:
     order: Ints | None = None
     followed_low: Ints | None = None
     followed_weight: Floats | None = None
+    sees_silence: bool = False
     alike: int = 1
 
     __repr__ = outline
@@ -163,7 +166,7 @@ class AssistPOMDP:
             robot_actions=robots.number, suggested=robots.suggested, afterstate=robots.afterstate,
             robot_costs=robots.costs, chosen=chosen, unsuggested=unsuggested, low=low, weight=weight,
             frontier=None if frontier is None else frontier.of_types(hidden.goal_of),
-            followed_low=followed_low, followed_weight=followed_weight,
+            followed_low=followed_low, followed_weight=followed_weight, sees_silence=sees_silence(rule),
         )  # fmt: skip
 
     @cached_property

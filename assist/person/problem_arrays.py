@@ -75,6 +75,7 @@ class ProblemArrays(NamedTuple):
     followed_low: NDArray[np.int64]
     followed_weight: Floats
     uses_answer: bool
+    sees_silence: bool
     theta: Floats
     gamma: float
     lapse: float
@@ -96,6 +97,7 @@ class ProblemArrays(NamedTuple):
         return cls(
             **{name: read_only(array) for name, array in arrays.items()},
             uses_answer=pomdp.followed_low is not None,
+            sees_silence=pomdp.sees_silence,
             gamma=float(pomdp.gamma),
             lapse=float(pomdp.model.lapse),
         )

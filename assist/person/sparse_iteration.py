@@ -99,7 +99,7 @@ class SparseBackup:
 
     @classmethod
     def of(cls, m: ProblemArrays) -> SparseBackup:
-        """Return the backup of a problem. A suggestion leads to a theta between two of the grid: two entries."""
+        """Return the backup of a problem. Where theta moves, it is then between two of the grid: two entries."""
         from scipy.sparse import csr_array  # slow to import, and needed here only
 
         types, n, thetas = shape = len(m.goal_of), len(m.counts), len(m.theta)
@@ -132,13 +132,15 @@ class SparseBackup:
         chosen *= m.gamma
 
         # The row of pair p and theta t begins at entry `begin[h, p, t]`.
-        width = np.where(advised, 2, 1) * counts
+        moves = advised | m.sees_silence
+        width = np.where(moves, 2, 1) * counts
         size = int(width.sum()) * thetas
         begin = (np.cumsum(width) - width)[:, None] * thetas + width[:, None] * np.arange(thetas)
         begin = begin + size * np.arange(types)[:, None, None]
         data, column = np.empty(types * size), np.empty(types * size, dtype=np.int32)
         base = (np.arange(types)[:, None] * n + target)[:, :, None] * thetas
-        quiet, of = np.flatnonzero(~advised[pair]), pair[told]
+        quiet, moving = np.flatnonzero(~moves[pair]), np.flatnonzero(moves[pair])
+        of, own = pair[moving], slot[moving] == suggested[pair[moving]]
         place = begin[:, pair[quiet]] + slot[quiet, None]
         data[place], column[place] = chosen[:, quiet], base[:, quiet] + np.arange(thetas)
         low, up = (part[x[of], r[of]].swapaxes(0, 1)[m.goal_of] for part in (m.low, m.weight))
@@ -147,7 +149,7 @@ class SparseBackup:
             low[:, own], up[:, own] = (
                 part[mine].swapaxes(0, 1)[m.goal_of] for part in (m.followed_low, m.followed_weight)
             )
-        place, chosen, base = begin[:, of] + 2 * slot[told, None], chosen[:, told], base[:, told]
+        place, chosen, base = begin[:, of] + 2 * slot[moving, None], chosen[:, moving], base[:, moving]
         data[place], column[place] = chosen * (1.0 - up), base + low
         data[place + 1], column[place + 1] = chosen * up, base + np.minimum(low + 1, thetas - 1)
         h, pair = np.nonzero(over)

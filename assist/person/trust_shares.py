@@ -17,8 +17,11 @@ def trust_shares(
     model: HumanModel, chooses: ChoiceModel, grid: Grid, rule: TrustRule, frontier: LeafBounds | None,
     suggested: Ints, *, followed: bool,
 ) -> tuple[Ints, Floats]:  # fmt: skip
-    """Return the grid's shares of theta after each robot action, for each goal, both of shape (n, R, G, T)."""
-    slot, silent = np.maximum(suggested, 0), suggested[:, :, None] == NOTHING  # then theta does not move
+    """Return the grid's shares of theta after each robot action, for each goal, both of shape (n, R, G, T).
+
+    A robot action that suggests nothing leads to a step without a suggestion.
+    """
+    slot, shape = np.maximum(suggested, 0), (*suggested.shape, len(grid.theta))
     each = []
     for goal, (choices, q) in enumerate(model.of_each_goal):
         v = value(chooses, choices, q)
@@ -30,6 +33,7 @@ def trust_shares(
             v[:, None, None], v[np.take_along_axis(choices.targets, slot, axis=1)][:, :, None],
             np.take_along_axis(choices.optimal, slot, axis=1)[:, :, None],
         )  # fmt: skip
-        theta, count = moved(rule, grid.theta, grid.count, perceived.event(followed, rule.feedback))
-        each.append(grid.shares(np.where(silent, grid.theta, theta), np.where(silent, grid.count, count)))
+        event = perceived.event(followed, rule.feedback, suggested[:, :, None] != NOTHING)
+        theta, count = (np.broadcast_to(part, shape) for part in moved(rule, grid.theta, grid.count, event))
+        each.append(grid.shares(theta, count))
     return np.stack([low for low, _ in each], axis=2), np.stack([weight for _, weight in each], axis=2)

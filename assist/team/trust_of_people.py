@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
-from ..people.trust_rules import TrustRule
+from ..people.trust_rules import TrustRule, sees_silence
 from ..person.dynamics import act
 from ..person.people_arrays import Minds, PeopleArrays
 from ..person.problem_arrays import ProblemArrays
@@ -49,12 +49,14 @@ class TrustOfPeople:
         act(flat, them, minds, arrays)
         who, heard = them.who[flat], them.heard[flat]
         suggested, value = arrays.suggested[before, heard], minds.value
-        advised = np.flatnonzero(suggested >= 0)
-        who, x, slot = who[advised], before[advised], suggested[advised]
+        silent = (suggested == NOTHING) & (them.slot[flat] != NOTHING)
+        moving = np.flatnonzero((suggested != NOTHING) | (silent & sees_silence(self.rule)))
+        who, x, suggested = who[moving], before[moving], suggested[moving]
+        slot = np.maximum(suggested, 0)
         perceived = PerceivedSuggestions.of(
             self.perceived[who, x, slot], self.perceived[who, x].min(axis=1), value[who, x],
             value[who, arrays.targets[x, slot]], self.optimal[x, slot, minds.goal[who]],
         )  # fmt: skip
-        event = perceived.event(them.slot[flat[advised]] == slot, self.rule.feedback)
-        flat = flat[advised]
-        them.theta[flat], them.outcomes[flat] = moved(self.rule, theta[advised], outcomes[advised], event)
+        flat = flat[moving]
+        event = perceived.event(them.slot[flat] == suggested, self.rule.feedback, suggested != NOTHING)
+        them.theta[flat], them.outcomes[flat] = moved(self.rule, theta[moving], outcomes[moving], event)

@@ -10,6 +10,7 @@ import pytest
 from conftest import costly, thinned
 from hypothesis import given
 from hypothesis import strategies as st
+from silence import ThreeInARow
 
 from assist.declare import AbsentError, InapplicableError
 from assist.live.assistant import Assistant
@@ -60,6 +61,7 @@ TWO = (Robot(c_suggest=0.3, c_move=0.2), Robot(travel_time=2, c_move=0.1))
         ("attention", Setting(c_suggest=0.1, robots=2)),
         ("priority", Setting(c_suggest=0.1, robots=2, travel_time=2, c_move=0.1)),
         ("priority", Setting(c_suggest=0.1, robots=TWO)),
+        ("attention", Setting(c_suggest=0.1, trust=ThreeInARow(0.3, 0.1))),
     ],
 )
 def test_step_by_step_it_is_what_is_simulated(tiny: Table, policy: str, setting: Setting) -> None:

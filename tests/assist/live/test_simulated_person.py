@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from silence import ThreeInARow
 
 from assist.live.simulated_person import SimulatedPerson
 from assist.people import Population
 from assist.people.choice_model import ChoiceModel, boltzmann
 from assist.people.choices import Choices
+from assist.people.trust_rules import TrustRule
 from assist.person import Setting
 from assist.person.observation_model import ObservationModel
 from assist.team import Pool, simulate
@@ -29,13 +31,13 @@ PLACES = 3
 @pytest.mark.parametrize(
     ("trust", "noise", "on_demand"),
     [  # in make test, each rule and each noise
-        pytest.param(trust, noise, (i + j) % 2 == 1, marks=[pytest.mark.slow] * (i != j))
-        for i, trust in enumerate(("paper", "outcome", "reliability"))
+        pytest.param(trust, noise, (i + j) % 2 == 1, marks=[pytest.mark.slow] * (i % 3 != j))
+        for i, trust in enumerate(("paper", "outcome", "reliability", ThreeInARow(0.3, 0.1)))
         for j, noise in enumerate(("state", "action", short_sighted))
     ],
 )
 def test_the_same_person_with_the_same_numbers_acts_as_in_a_simulation(
-    trust: str, noise: str | ChoiceModel, on_demand: bool
+    trust: str | TrustRule, noise: str | ChoiceModel, on_demand: bool
 ) -> None:  # fmt: skip
     population = Population(chooses=noise) if callable(noise) else Population(noise=noise)  # type: ignore[arg-type]
     setting = Setting(trust=trust, c_suggest=0.05, c_move=0.0, suggestions="all")

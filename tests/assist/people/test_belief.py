@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from silence import Rested
 
 from assist.live.live_task import LiveTask
 from assist.people.belief import Grid, ImpossibleObservationError, update
@@ -339,6 +340,7 @@ def test_where_nothing_moves_trust_suggestions_into_dead_ends_do_not_either(seal
             outcome(0.5, 1.0),
             outcome_at_disagreement(0.2, 0.5, 1.0),
             Reliability(2, 0.1, 2),
+            Rested(),
         ]
     ),
     st.sampled_from([0.0, 1e-3, 0.3]),

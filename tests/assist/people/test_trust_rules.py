@@ -15,6 +15,7 @@ from conftest import KITTING, costly, invoke, kit, thinned
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
+from silence import ThreeInARow
 
 from assist.certify.team_bound import upper_bound
 from assist.connect.observed import Observed
@@ -61,6 +62,7 @@ ALL: dict[str, TrustRule] = {
     "outcome, exact": outcome(0.5, 1.0, "true"),
     "outcome-at-disagreement": outcome_at_disagreement(0.2, 0.5, 1.0),
     "reliability": Reliability(2.0, 0.1, 2),
+    "three in a row": ThreeInARow(0.3, 0.1),
 }
 
 
@@ -218,7 +220,15 @@ def test_bounds_of_the_solver_hold_the_simulated_return(rule: TrustRule) -> None
 
 
 @pytest.mark.parametrize(
-    "rule", ["constant", outcome(0.5, 1.0), outcome_at_disagreement(0.5, 1.0, 1.0), Reliability(2.0, 0.1, 2)], ids=str
+    "rule",
+    [
+        "constant",
+        outcome(0.5, 1.0),
+        outcome_at_disagreement(0.5, 1.0, 1.0),
+        Reliability(2.0, 0.1, 2),
+        ThreeInARow(0.4, 0.1),
+    ],
+    ids=str,
 )
 @pytest.mark.parametrize("states", [20_000, 5])
 @pytest.mark.slow

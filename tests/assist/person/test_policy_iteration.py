@@ -11,6 +11,7 @@ import pytest
 from conftest import costly, graph_task, kit
 from hypothesis import given
 from hypothesis import strategies as st
+from silence import Rested
 from test_unknown_goals import three_goals
 
 from assist.people.belief import Grid
@@ -122,6 +123,7 @@ def random_problem(draw: st.DataObject, gamma: float) -> AssistPOMDP:
         outcome(),
         outcome_at_disagreement(),
         outcome(feedback="true"),
+        Rested(),
         Reliability(counts=2),
     ]
     frontier, inside = None, np.flatnonzero(~choices.goal & (np.arange(len(choices)) != choices.initial))
@@ -130,7 +132,7 @@ def random_problem(draw: st.DataObject, gamma: float) -> AssistPOMDP:
         leaves = np.sort(rng.choice(inside, pick(st.integers(1, len(inside))), replace=False))
         most = -rng.uniform(0, 9, (len(leaves), *(GRID.shape if pick(st.booleans()) else (1, 1))))
         frontier = LeafBounds(leaves, np.full((len(leaves), 1, GRID.shape[1]), -9.0 / (1 - gamma)), most)
-    trust = rules[pick(st.integers(0, 3 if frontier else 4))]
+    trust = rules[pick(st.integers(0, 4 if frontier else 5))]
     return AssistPOMDP.of(
         model, grid=GRID, gamma=gamma,
         robot=OfRobots(c_suggest=pick(st.sampled_from([0.0, 0.1, 50.0])), execute=execute),

@@ -50,8 +50,9 @@ def problem(
         "theta": np.tile(VALUES, outcomes + 1),
     }  # fmt: skip
     return ProblemArrays(
-        **{name: read_only(array) for name, array in arrays.items()}, uses_answer=answers, gamma=0.99, lapse=lapse
-    )
+        **{name: read_only(array) for name, array in arrays.items()}, uses_answer=answers, gamma=0.99, lapse=lapse,
+        sees_silence=bool(rng.integers(2)),
+    )  # fmt: skip
 
 
 def beliefs(rng: np.random.Generator, people: int, m: ProblemArrays) -> np.ndarray:

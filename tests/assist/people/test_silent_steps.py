@@ -1,0 +1,200 @@
+"""Trust rules that see steps without a suggestion: everything that moves theta, compared with brute force."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import graph_task
+from silence import Belief, OnePerson, Rested, ThreeInARow
+from test_trust_fit import recorded, seen
+
+from assist.certify.team_bound import upper_bound
+from assist.learning.likelihood import Method
+from assist.learning.likelihood_table import LikelihoodTable
+from assist.people.belief import Grid
+from assist.people.choices import Choices
+from assist.people.decision import NOTHING
+from assist.people.human import Human, HumanModel
+from assist.people.ranges import Population
+from assist.people.trust_rules import Event, TrustRule, constant, outcome
+from assist.person.behaviour import Behaviour
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import qmdp
+from assist.person.robots import OfRobots
+from assist.person.settings import Setting
+from assist.person.solver import solve
+from assist.studies import own_code_trials
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
+from assist.team.state import NOBODY, TeamAction, TeamState
+from planner import sweep
+
+GRID = Grid(np.array([0.4, 2.0]), np.array([0.0, 0.5, 1.0]))
+GAMMA = 0.4
+ON_GRID = [ThreeInARow(0.5, 0.0), ThreeInARow(0.5, 0.5)]
+"""Rules that lead from points of the grid to such points, so that the grid's beliefs are those of people."""
+
+RULES = [*ON_GRID, Rested(0.5)]
+
+
+def chain() -> Choices:
+    """Return a chain of three steps to the goal, on which one may go back."""
+    return Choices.of(sweep(graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 2), (1, 2, 1)], start=3)))
+
+
+def problem(rule: TrustRule, c_suggest: float = 0.05) -> AssistPOMDP:
+    model = HumanModel.exact(chain(), lapse=0.02)
+    robot = OfRobots(c_suggest=c_suggest)
+    return AssistPOMDP.of(model, grid=GRID, gamma=GAMMA, robot=robot, behaviour=Behaviour(trust=rule))
+
+
+def beliefs_of(pomdp: AssistPOMDP) -> Belief:
+    """Return the prior of a problem by single values."""
+    found: Belief = {}
+    for (b, t), p in np.ndenumerate(pomdp.prior):
+        if p > 0:
+            key = float(pomdp.grid.beta[b]), float(pomdp.grid.theta[t]), int(pomdp.grid.count[t])
+            found[key] = float(p)
+    return found
+
+
+def exact(rule: TrustRule, c_suggest: float = 0.05) -> OnePerson:
+    return OnePerson(chain(), rule, GAMMA, c_suggest, lapse=0.02)
+
+
+@pytest.mark.parametrize("rule", ON_GRID, ids=str)
+def test_the_optimal_value_is_between_the_solvers_bounds(rule: TrustRule) -> None:
+    """The values of the rule and of a constant theta are further apart than the depth of the tree leaves open."""
+    pomdp, depth = problem(rule), 8
+    rest = 2.1 * GAMMA**depth / (1 - GAMMA)  # no step costs more
+    best = exact(rule).value(beliefs_of(pomdp), pomdp.model.choices.initial, depth)
+    found = solve(pomdp, gap=1e-3)
+    assert found.lower - 1e-9 <= best
+    assert best - rest <= found.upper + 1e-9
+    assert found.upper - found.lower < 2e-3 * abs(found.upper)
+
+
+def test_silence_is_worth_something() -> None:
+    """A robot that knows of it has another plan than one that counts suggestions alone."""
+    silent, talking = (solve(problem(rule), gap=1e-3) for rule in (Rested(0.5), Rested(0.0)))
+    assert silent.lower > talking.upper
+
+
+def speaks(step: int) -> bool:
+    return step % 4 != 1
+
+
+@pytest.mark.parametrize(
+    ("rule", "world"),
+    [(rule, world) for rule in RULES for world in ("model", "people") if world == "people" or rule in ON_GRID],
+    ids=str,
+)
+def test_simulated_people_have_the_value_of_plain_arithmetic(rule: TrustRule, world: str) -> None:
+    """People of the robot's model, and people of a pool with one beta and theta."""
+    pomdp, c = problem(rule), chain()
+    human = Human(2.0, 0.5, 0.0, c.h)
+    setting = Setting(
+        gamma=GAMMA, c_suggest=0.05, c_move=0.0, lapse=0.02, trust=rule, max_steps=12, knowledge="exact"
+    )  # fmt: skip
+    pool = Pool(setting, (human,), (qmdp(pomdp),), np.zeros(1, dtype=np.int64))
+
+    def act(team: TeamState) -> TeamAction:
+        person = np.full(team.location.shape, 0 if speaks(team.step) else NOBODY)
+        person[~team.active.any(axis=1)] = NOBODY
+        return team.act(person, team.first_optimal())
+
+    found = simulate(pool, act, humans=[0], episodes=20_000, seed=0, world=world).discounted_return  # type: ignore[arg-type]
+    plain = exact(rule) if world == "model" else replace(exact(rule), lapse=0.0)
+    people: Belief = beliefs_of(pomdp) if world == "model" else {(2.0, 0.5, 0): 1.0}
+
+    def says(step: int, x: int) -> int | None:
+        return int(np.flatnonzero(c.optimal[x])[0]) if speaks(step) else None
+
+    expected = plain.value(people, c.initial, 12, says)
+    assert found.mean() == pytest.approx(expected, abs=4 * found.std() / np.sqrt(len(found)))
+
+
+@pytest.mark.parametrize("rule", RULES, ids=str)
+def test_theta_in_a_trace_moves_in_silent_steps(rule: TrustRule) -> None:
+    setting = Setting(gamma=0.9, c_suggest=0.3, c_move=0.0, trust=rule, knowledge="exact")
+    pool = Pool.sample(chain(), 1, seed=0, setting=setting, population=Population((0.1, 0.1), (0.5, 0.5)))
+    plain, trace, silent = exact(rule), list[dict[str, Any]](), 0
+    simulate(pool, "reactive", humans=[0], episodes=30, seed=1, trace=trace)
+    c, moved, x = chain(), (0.5, 0), 0
+    for before, row in zip([None, *trace[:-1]], trace, strict=True):
+        if before is None or before["episode"] != row["episode"]:
+            moved, x = (0.5, 0), int(c.initial)
+        assert row["theta"] == pytest.approx(moved[0])
+        names = [c.name(x, a) for a in range(int(c.applicable[x].sum()))]
+        said = None if row["suggestion"] is None else names.index(row["suggestion"])
+        silent, slot = silent + (said is None), names.index(row["action"])
+        moved, x = plain.moved(x, said, slot, *moved), int(c.targets[x, slot])
+    assert 10 < silent < len(trace)
+
+
+@pytest.mark.parametrize("rule", RULES[1:], ids=str)
+def test_no_policy_is_above_the_teams_bound(rule: TrustRule) -> None:
+    setting = Setting(gamma=GAMMA, c_suggest=0.05, c_move=0.05, lapse=0.02, trust=rule, knowledge="exact")
+    for size in (1, 2):
+        pool = Pool(
+            setting, (Human(2.0, 0.5, 0.0, chain().h),) * size, (qmdp(problem(rule)),), np.zeros(size, dtype=int)
+        )
+        bound = upper_bound(pool, gap=1e-3)
+        for name in ("none", "attention", "priority", "whittle"):
+            found = simulate(pool, name, humans=list(range(size)), episodes=4000, seed=0, world="model")
+            value = found.discounted_return
+            assert value.mean() - 4 * value.std(ddof=1) / np.sqrt(len(value)) <= bound.proven + 1e-9
+
+
+@pytest.mark.parametrize("carry", [True, False])
+@pytest.mark.parametrize("rule", [ThreeInARow(0.2, 0.05), Rested(0.1)], ids=str)
+def test_estimates_have_the_theta_that_people_had(rule: TrustRule, carry: bool) -> None:
+    """From each first theta, that at each suggestion and the last one follow step by step through the log."""
+    rows = recorded(constant(), 3, 12, 1)
+    log = LikelihoodTable.of(seen(rows), Method(lapse=0.01))
+    before, last = log.thetas(rule, carry=carry)
+    assert log.silences.sum() > 5
+    for k, person in enumerate(log.people):
+        own = [row for row in rows if row["person"] == person]
+        for t in (0, 20, 40):
+            theta, count, h, episode = log.theta[t], 0, 0, own[0]["episode"]
+            for row in own:
+                if row["episode"] != episode and not carry:
+                    theta, count = log.theta[t], 0
+                episode = row["episode"]
+                event = Event.silent()
+                if row["suggestion"] is not None:
+                    assert before[k, h, t] == pytest.approx(theta, abs=1e-12)
+                    h += 1
+                    followed = np.asarray(row["action"] == row["suggestion"])
+                    event = replace(event, followed=followed, suggested=np.asarray(True))
+                counting: Any = rule
+                theta = float(
+                    counting.update(theta, event, count) if hasattr(rule, "counts") else rule.update(theta, event)
+                )
+                count = int(counting.counted(count, event)) if hasattr(rule, "counts") else 0
+            if carry:
+                assert last[k, t] == pytest.approx(theta, abs=1e-12)
+
+
+def test_rules_that_do_not_look_are_not_moved() -> None:
+    pomdp = problem(outcome(0.5, 1.0))
+    silent = pomdp.suggested == NOTHING
+    np.testing.assert_array_equal(pomdp.weight[silent], problem(constant()).weight[silent])
+    assert not pomdp.sees_silence
+
+
+class Leaves(Rested):
+    """A rule that leads out of the range in silence."""
+
+    def update(self, theta: Any, event: Event) -> Any:
+        return np.where(event.suggested, theta, theta + 0.5)
+
+
+def test_a_rule_that_leads_out_of_the_range_in_silence_is_told() -> None:
+    said = own_code_trials._events(Leaves())
+    assert said is not None
+    assert "in silence; expected a number from 0 to 1" in said
