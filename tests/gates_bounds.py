@@ -25,8 +25,8 @@ BOUNDS: dict[str, tuple[str, str, dict[str, Any]]] = {
         f"team, {name}": (axis, name, {"window": 3})
         for axis, names in {
             "robots": ["2 robots", "2 different robots"], "goals": ["3 goals"], "size": ["truncated"],
-            "terms": ["terms"], "trust": ["constant", "reliability", "three in a row"], "travel": ["slow"], "execute": ["executes"],
-            "suggestions": ["all"], "task": ["dead ends"], "observation": ["unreliable"],
+            "terms": ["terms"], "trust": ["constant", "reliability", "three in a row"], "travel": ["slow"],
+            "execute": ["executes"], "suggestions": ["all"], "task": ["dead ends"], "observation": ["unreliable"],
         }.items() for name in names
     },
     "team, truncated, executes": ("execute", "executes", {"window": 0, "truncated": True}),

@@ -70,6 +70,8 @@ def check(people: list[AssistPOMDP], travel: Travel) -> None:
     around = (travel.distance[:, :, None] + travel.distance[None]).min(axis=1)
     if (around < travel.distance - 1e-9).any():
         raise ValueError("distance: expected the triangle inequality")
+    if len(people) > 1 and any(pomdp.sees_silence for pomdp in people):
+        raise ValueError("trust: expected one person, as theta of several would move in one step")
     if any(pomdp.frontier is not None for pomdp in people):
         raise ValueError("team: expected problems of whole tasks, and one is truncated")
     # For each state of a person: the number of outcomes alone, and with each of the robot's actions.
@@ -142,13 +144,13 @@ def written_out(people: list[AssistPOMDP], travel: Travel) -> JointProblem:
             to = np.meshgrid(*[one.target for one in each], indexing="ij")
             at, above, share, charge = grid.copy(), grid.copy(), np.zeros(len(every)), 0.0
             if k != NOBODY:
-                theta = grid[2 * k + 1]
-                at[2 * k + 1] = people[k].low[tasks[k], robot, 0][theta]
-                above[2 * k + 1] = at[2 * k + 1] + 1
-                share, charge = (
-                    people[k].weight[tasks[k], robot, 0][theta],
-                    float(people[k].robot_costs[tasks[k], robot]),
-                )
+                charge = float(people[k].robot_costs[tasks[k], robot])
+            moves = 0 if people[0].sees_silence else k  # then there is one person
+            if moves != NOBODY:
+                theta = grid[2 * moves + 1]
+                at[2 * moves + 1] = people[moves].low[tasks[moves], robot, 0][theta]
+                above[2 * moves + 1] = at[2 * moves + 1] + 1
+                share = people[moves].weight[tasks[moves], robot, 0][theta]
             person.append(k)
             reward.append(-charge - cost @ chances)
             low.append(np.ravel_multi_index(tuple(at), shape))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import kit
 from joint import JointBounds, joint_bounds
+from silence import ThreeInARow
 
 from assist.certify.options import BoundOptions
 from assist.certify.team_bound import upper_bound
@@ -18,7 +19,9 @@ from assist.people.choices import Choices
 from assist.people.decision import Floats
 from assist.people.human import HumanModel
 from assist.people.ranges import Population
+from assist.people.trust_rules import TrustRule
 from assist.person.attention_subproblem import AttentionSubproblem
+from assist.person.behaviour import Behaviour
 from assist.person.mdp_values import evaluate
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
@@ -81,6 +84,33 @@ def test_one_person_alone_is_the_problem_of_visits(costs: tuple[float, float], e
     assert joint.upper >= visits.lower
     assert joint.never == pytest.approx(visits.value_never, abs=1e-3)
     assert joint.lower > joint.never + 0.5  # helping pays, so that it is looked at
+
+
+def test_one_person_whose_theta_moves_in_silence_is_the_problem_of_visits() -> None:
+    pool, values = pool_of(0.05, 0.1), list[float]()
+    for rule in (ThreeInARow(0.5, 0.5), ThreeInARow(0.5, 0.0)):
+        people = tuple(
+            qmdp(replace_rule(policy.pomdp, rule, pool.setting.c_suggest)) for policy in pool.policies
+        )  # fmt: skip
+        own = replace(pool, policies=people, setting=replace(pool.setting, trust=rule))
+        joint = joint_bounds(own, (0,), gap=1e-3)
+        visits = solve(AttentionSubproblem.of(people[0].pomdp, 0.1).pomdp, gap=1e-3)
+        assert joint.gap <= 1e-3
+        assert joint.lower <= visits.upper
+        assert joint.upper >= visits.lower
+        found = simulate(own, own.policy("attention"), humans=[0], episodes=4000, seed=0, world="model")
+        error = found.discounted_return.std(ddof=1) / np.sqrt(len(found))
+        assert found.discounted_return.mean() <= joint.upper + 4 * error
+        values.append(joint.lower)
+    assert values[0] > values[1] + 0.05
+
+
+def replace_rule(pomdp: AssistPOMDP, rule: TrustRule, c_suggest: float) -> AssistPOMDP:
+    """Return the problem of the same person under another trust rule."""
+    return AssistPOMDP.of(
+        pomdp.model, grid=Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0])), gamma=pomdp.gamma,
+        population=Population(sigma=(0.5, 1.0)), robot=OfRobots(c_suggest=c_suggest), behaviour=Behaviour(trust=rule),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("costs", COSTS)

@@ -12,6 +12,7 @@ from silence import Belief, OnePerson, Rested, ThreeInARow
 from test_trust_fit import recorded, seen
 
 from assist.certify.team_bound import upper_bound
+from assist.connect.observed import Observed
 from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import LikelihoodTable
 from assist.people.belief import Grid
@@ -185,6 +186,14 @@ def test_rules_that_do_not_look_are_not_moved() -> None:
     silent = pomdp.suggested == NOTHING
     np.testing.assert_array_equal(pomdp.weight[silent], problem(constant()).weight[silent])
     assert not pomdp.sees_silence
+
+
+def test_exported_problems_move_theta_in_silence() -> None:
+    pomdp = problem(ON_GRID[1])
+    moves = Observed.of(pomdp).moves(pomdp.model.choices.initial, 0)
+    assert moves is not None
+    assert moves[:, :3].argmax(axis=1).tolist() == [1, 2, 2] * 3  # theta rises by a cell, and the count is 0
+    assert Observed.of(problem(constant())).moves(pomdp.model.choices.initial, 0) is None
 
 
 class Leaves(Rested):
