@@ -58,9 +58,12 @@ class Fleet:
 
     @classmethod
     def of(cls, robots: Sequence[Robot], usual: OfRobots = USUAL) -> Fleet:
-        """Return robots with the values of `usual`, such as a `Setting`, in the fields that are None."""
+        """Return robots with the values of `usual`, such as a `Setting`, in its fields that are None in them."""
+        shared = names_of(type(usual))
         return cls(tuple(
-            replace(robot, **{name: getattr(usual, name) for name, value in vars(robot).items() if value is None})
+            replace(robot, **{
+                name: getattr(usual, name) for name, value in vars(robot).items() if value is None and name in shared
+            })
             for robot in robots
         ))  # fmt: skip
 

@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,7 +28,7 @@ from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import upper_bound
 from assist.cli.options.config import read_config
 from assist.cli.serve import serve
-from assist.declare.declared import Number, Whole, declared, plain
+from assist.declare.declared import Number, Text, Whole, declared, plain
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
 from assist.people.ranges import Population
@@ -244,6 +245,7 @@ class Carries(OfRobots):
     """A robot that carries up to a number of kits; more is better."""
 
     kits: Annotated[Whole, Best(max), Field(ge=1, description="Kits that it carries.")] = 1
+    name: Annotated[Text | None, Best(itemgetter(0)), Field(description="A name, or none.")] = None
 
 
 @declared
@@ -264,7 +266,7 @@ class Unmarked(Robot):
 
 
 def test_a_field_says_what_the_best_robot_has() -> None:
-    assert vars(Carries()) == dict.fromkeys(vars(OfRobots())) | {"kits": 1}
+    assert vars(Carries()) == dict.fromkeys(vars(OfRobots())) | {"kits": 1, "name": None}
     fleet = Fleet.of((Carries(kits=2), Carries(c_move=0.1)))  # type: ignore[arg-type]
     assert (fleet.best.kits, fleet.best.c_move, fleet.best.c_suggest) == (2, 0.1, 1.0)  # type: ignore[attr-defined]
     assert not fleet.alike
