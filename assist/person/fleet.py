@@ -27,7 +27,7 @@ from planner.system.arrays import frozen
 
 from ..declare.declared import annotation_of, marks, names_of
 from ..people.decision import Bools, Floats, Ints
-from .robots import EXECUTION, SUGGESTION, USUAL, Best, OfRobots, Robot
+from .robots import EXECUTION, NOTHING_DONE, SUGGESTION, USUAL, Best, OfRobots, Robot
 
 
 class Kinds(NamedTuple):
@@ -134,6 +134,11 @@ class Fleet:
         """The robots by what they cost more: those with the same costs are of one kind."""
         rows, number = np.unique(self.extra, axis=0, return_inverse=True)
         return Kinds(frozen(rows), frozen(number.reshape(-1)))
+
+    @cached_property
+    def waiting(self) -> Floats:
+        """What each kind of robot pays for being with somebody at work and doing nothing, shape (U,)."""
+        return frozen(self.best.costs[NOTHING_DONE] + self.kinds.extra[:, NOTHING_DONE])
 
     def extra_of(self, robot: Ints, executes: Bools) -> Floats:
         """Return the extra costs of actions of robots, given by their numbers from 0; others are suggestions."""

@@ -11,7 +11,7 @@ from ..people.decision import Floats
 from ..person.policy import Policy
 from ..person.ties import first_best
 from .assignment import assigned
-from .state import TeamAction, TeamState
+from .state import BASE, TeamAction, TeamState
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,9 @@ class AttentionSwitching:
     moving there:
 
         score_k = Q^k(b^k, a^k) - reference_k - c_move * distance(location, k)
+
+    A robot whose waiting costs something pays for it where it is with somebody at work and does nothing. So nothing is
+    charged in the reference of others, and a robot that waits saves the charge wherever it acts.
 
     The robots act on the largest sum of scores, each for another person; a robot does nothing without a person whose
     score is positive. The paper's text allows two readings. Here the reference is the value of doing
@@ -39,8 +42,7 @@ class AttentionSwitching:
 
         `q` are the Q-values for each kind, as in `TeamState.by_kind`.
         """
-        del team
-        return q[..., 0]
+        return q[..., 0] + team.fleet.waiting[None, : q.shape[1], None]
 
     def values(self, team: TeamState, q: Floats) -> Floats:
         """Return what robot actions are scored by, in the shape of `q`: these Q-values for each kind, as they are."""
@@ -62,5 +64,7 @@ class AttentionSwitching:
         # that of never helping again.
         useful = team.active[:, None] & (action > 0)
         score = np.subtract(worth, self.reference(team, each), out=np.full(worth.shape, -np.inf), where=useful)
-        kind = team.fleet.kinds.of_robot
-        return action[:, kind], score[:, kind] - team.to()
+        kind, there = team.fleet.kinds.of_robot, np.maximum(team.location, 0)
+        waits = (team.location != BASE) & np.take_along_axis(team.active, there, axis=1)
+        saved = np.where(waits, team.fleet.waiting[kind], 0.0)
+        return action[:, kind], score[:, kind] - team.to() + saved[..., None]

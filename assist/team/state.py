@@ -136,9 +136,9 @@ class TeamState:
     def interchangeable(self) -> bool:
         """Whether each free robot is worth the same everywhere, but where it stays.
 
-        So it is if all distances are equal, and all robots are alike.
+        So it is if all distances are equal, and all robots are alike and wait for free.
         """
-        return self.travel.equally_far and self.travel.alike and self.fleet.alike
+        return self.travel.equally_far and self.travel.alike and self.fleet.alike and not self.fleet.waiting.any()
 
     def refused(self, fault: str) -> UserCodeError:
         """Return the error for a fault of the policy in this step."""

@@ -762,6 +762,20 @@ def test_who_waits_with_whom_pays() -> None:
     assert charged[1][0] - charged[0][0] == pytest.approx(expected)
 
 
+def test_a_robot_at_its_base_does_not_pay_for_waiting() -> None:
+    """A suggestion is not worth its cost. Staying at the base costs nothing, and being with somebody does."""
+    pool = people((Waits(c_wait=3.0),), size=2, c_suggest=2.5, c_move=0.0)
+    at_base = state(pool, [pool.choices(0).initial] * 2)
+    there = replace(at_base, location=np.array([[0]]))
+    one_done = replace(there, active=np.array([[False, True]]))
+    attention = pool.policy("attention")
+    scores = [attention.scores(team)[1][0, 0] for team in (at_base, there, one_done)]
+    assert attention(at_base).person[0, 0] == NOBODY
+    assert (scores[0] < 0).all()
+    np.testing.assert_allclose(scores[1], scores[0] + 3.0)
+    assert scores[2][1] == pytest.approx(scores[0][1])
+
+
 def test_who_would_wait_for_a_price_helps_at_once() -> None:
     """A suggestion is not worth its cost, but it costs less than to be there in vain."""
     said = {}
