@@ -80,7 +80,7 @@ class Told(News):
     def tell(self, team: Roster, record: RosterEntry, setting: Setting) -> None:
         """Update the belief in the person; errors as in `News`."""
         try:
-            team.beliefs.told(record.place, self.likelihood(record, setting), record.problem.policy)
+            team.beliefs.answered(record.place, self.likelihood(record, setting), record.problem.policy)
         except ImpossibleObservationError:
             key = "impossible_yes" if self.yes else "impossible_no"
             raise InapplicableError(key, person=record.name, goal=self.goal) from None
@@ -161,7 +161,7 @@ def worth_of_asking(record: RosterEntry, setting: Setting) -> tuple[float, dict[
         with suppress(ImpossibleObservationError):
             for told in answers(record):
                 if told.steps == len(record.steps):
-                    then = after.told(told.likelihood(record, setting))
+                    then = after.answered(told.likelihood(record, setting))
                     after = replace(then, evidence=then.evidence * after.evidence)
             found[name] = after
     if not found:

@@ -7,7 +7,7 @@ is uncertain, and with it a goal that is unknown. `team.goal_knowledge` and live
 Who holds beliefs later does not ask which of the two they are:
 
 - `observe` updates them by a step of a simulation, `update` by actions that were seen as they are;
-- `told` updates them by an answer, whose likelihood under each type is known;
+- `answered` updates them by an answer, whose likelihood under each type is known;
 - `expected` answers a question about people, as an expected value over what is uncertain;
 - `x` has the most probable state of each person, `belief` the belief in their type, and `erred` whether their last
   action was probably a mistake; `finished` is the probability that they have reached their goal.
@@ -104,7 +104,7 @@ class Beliefs(Protocol):
         """Update the beliefs in some people of one model, shape (m,), by actions that were seen as they are."""
         ...
 
-    def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
+    def answered(self, person: int, likelihood: Floats, policy: Policy) -> None:
         """Update the belief in a person with a policy by an answer.
 
         Parameters

@@ -103,12 +103,12 @@ class Hidden(Seen):
         self.joints[person], self.x[person] = joint, joint.rows(policy)[joint.probability.argmax()]
         self.belief[person], self.erred[person] = joint.belief, joint.erred > 1 / 2
 
-    def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
+    def answered(self, person: int, likelihood: Floats, policy: Policy) -> None:
         """Update a belief by an answer, as in `Beliefs`."""
         if person not in self.joints:
-            super().told(person, likelihood, policy)
+            super().answered(person, likelihood, policy)
         else:
-            self._put(person, self.joints[person].told(likelihood), policy)
+            self._put(person, self.joints[person].answered(likelihood), policy)
 
     def expected(self, ask: Ask, policy: Policy, people: Ints) -> Floats:
         """Return the answers about some people, as in `Beliefs`.

@@ -167,7 +167,7 @@ class JointBelief:
             raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
         return replace(found[0].without(LEAST), evidence=total * (1 - miss))
 
-    def told(self, likelihood: Floats) -> JointBelief:
+    def answered(self, likelihood: Floats) -> JointBelief:
         """Return the belief after an answer, whose likelihood has a shape that broadcasts with (S, H, T).
 
         Raises

@@ -52,7 +52,7 @@ class Seen:
         """Update the beliefs by actions that were seen, as in `Beliefs`."""
         _update(people, acts, self.belief, self.erred, model.optimal, model.possible, model.arrays)
 
-    def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
+    def answered(self, person: int, likelihood: Floats, policy: Policy) -> None:
         """Update a belief by an answer, as in `Beliefs`."""
         del policy
         joint = self.belief[person] * likelihood

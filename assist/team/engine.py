@@ -188,7 +188,7 @@ class Engine:
         for one in asked:
             yes = one.question.answer(int(self.people.goal[one.team, one.person]), uniform[one.team, one.person])
             policy = self.tasks.policies[self.tasks.model[one.team, one.person]]
-            self.beliefs.told(one.team * K + one.person, one.question.likelihood(yes), policy)
+            self.beliefs.answered(one.team * K + one.person, one.question.likelihood(yes), policy)
             self._charged[one.team, one.person] += questions.cost
             found.append((one, yes))
         return found

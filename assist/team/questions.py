@@ -47,7 +47,7 @@ class GoalQuestion:
     error: float
 
     def likelihood(self, yes: bool) -> Floats:
-        """Return the likelihood of an answer under each type, shape (H, 1), for `Beliefs.told`."""
+        """Return the likelihood of an answer under each type, shape (H, 1), for `Beliefs.answered`."""
         return np.where((self.hidden.goal_of == self.goal) == yes, 1 - self.error, self.error)[:, None]
 
     def answer(self, goal: int, uniform: float) -> bool:

@@ -27,7 +27,7 @@ class Sent(NamedTuple):
         To whom the robot goes, and its robot action there.
     cost : float array
         Cost of the way, in cost units.
-    moved : bool array
+    changes_place : bool array
         Whether the robot changes its place.
     """
 
@@ -36,7 +36,7 @@ class Sent(NamedTuple):
     person: Ints
     action: Ints
     cost: Floats
-    moved: NDArray[np.bool_]
+    changes_place: NDArray[np.bool_]
 
 
 class RobotsAtWork:

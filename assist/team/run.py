@@ -48,7 +48,7 @@ class Tally:
         self.costs += taken.cost
         self.steps[taken.now.running] += 1
         if len(sent.team):
-            np.add.at(self.moves, sent.team, sent.moved)
+            np.add.at(self.moves, sent.team, sent.changes_place)
             self.executed[sent.team, sent.person] += taken.executes
             self.helped[sent.team, sent.person] += sent.action > 0
 

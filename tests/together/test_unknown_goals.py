@@ -443,7 +443,7 @@ def test_an_answer_is_a_bayesian_update_and_worth_what_it_changes(error: float) 
             yes = (1 - error) * shares[g] + error * (1 - shares[g])
             told = Seen(np.full(2, at), np.array([one, one]), np.zeros(2, dtype=bool))
             for person, said in enumerate((True, False)):
-                told.told(person, GoalQuestion(g, policy.pomdp.hidden, error).likelihood(said), policy)
+                told.answered(person, GoalQuestion(g, policy.pomdp.hidden, error).likelihood(said), policy)
             after = [reached(belief, at) for belief in told.belief]
             assert told.belief[0].reshape(3, -1).sum(axis=1)[g] == pytest.approx((1 - error) * shares[g] / yes)
             found.append(yes * after[0] + (1 - yes) * after[1] - reached(one, at))
