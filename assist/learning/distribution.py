@@ -15,7 +15,7 @@ from ..declare.declared import DeclarationError, plain, spelt
 from ..people.arguments import number
 from ..people.decision import Floats
 from ..people.ranges import Population, Range
-from ..people.trust_rules import TrustRule, rule_of
+from ..people.trust_rules import RULES, TrustRule, of_table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -219,7 +219,7 @@ def trust_of(record: dict[str, Any]) -> TrustRule | None:
     if not isinstance(plain, dict):
         raise ValueError(f"trust {plain!r}; expected an object as `fit --write-population` writes it")  # noqa: TRY004
     try:
-        return rule_of(plain)
+        return of_table(RULES, plain)
     except DeclarationError as error:
         raise ValueError(f"{spelt(('trust', *error.place))}: {error.told}") from None
 

@@ -14,7 +14,7 @@ from typing import Any, get_args
 from planner.system.errors import expected
 
 from ..declare.declared import is_declared
-from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, rule_of, sees_silence
+from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, of_table, sees_silence
 from .user_code import UserCodeError, UserTrustRule, parse
 
 THETAS, EVENTS = 11, 16
@@ -45,7 +45,7 @@ def _given(rule: Any, least: float) -> str | TrustRule | None:
     if rule is None:
         return None
     if isinstance(rule, Mapping):
-        return rule_of(rule)
+        return of_table(RULES, rule)
     if isinstance(rule, str):
         place = parse(rule)
         if place is None and rule not in RULES:

@@ -2,16 +2,12 @@
 
 People at their stations see what a robot suggests to a neighbour, whether the neighbour follows, and what comes of it.
 A visibility graph (`Neighbours`) has a weight in [0, 1] for each pair of stations. A rule moves theta of those who see
-an event, by `update(theta, event)` with a `SeenEvent`: a deterministic map, as trust rules are. Shipped rules, by name:
+an event, by `update(theta, event)` with a `SeenEvent`: a deterministic map, as trust rules are.
 
-- "none": theta does not move; the default.
-- "outcome": equation (7) with the neighbour's change of value, `SeenOutcome`.
-- "followed": theta rises when the neighbour follows, and falls when not, `SeenFollowed`.
-- "steps": steps of logit(theta) by what came of suggestions that were followed, `SeenSteps`.
-
-They have `estimated`, the ranges of their numbers in the order of the fields, for estimates from logs, and `tried`, the
-numbers that are tried first. A rule of one's own is any frozen object with `update`. A step has this order: people act,
-their theta moves by what was suggested to them, and then by what they saw, in the order of the people that they saw.
+A rule is shipped by the name in its `tag` once its class is in `SEEN_RULES`. Shipped rules have `estimated`, the ranges
+of their numbers in the order of the fields, for estimates from logs, and `tried`, the numbers that are tried first. A
+rule of one's own is any frozen object with `update`. A step has this order: people act, their theta moves by what was
+suggested to them, and then by what they saw, in the order of the people that they saw.
 `neighbourhood` applies the maps to people and to beliefs, `sights` to people of a log.
 
 Bounds on team policies need to know how far theta can come. A rule with a method `envelope` tells it: the least and
@@ -22,15 +18,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, PlainValidator
 
-from planner.system.errors import expected
-
-from ..declare.declared import MOST, DeclarationError, Expected, Number, Truth, declared
-from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, TrustRule, counts_of, sees_silence
+from ..declare.declared import MOST, Expected, Number, Truth, declared
+from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, TrustRule, by_name, counts_of, of_table
 
 if TYPE_CHECKING:
     from .decision import Bools, Floats, Ints
@@ -186,7 +180,7 @@ class WithSeen:
     seen: SeenRule
 
     @staticmethod
-    def maker(own: Callable[..., TrustRule], seen: type[ShippedSeen]) -> Callable[..., TrustRule]:
+    def maker(own: Callable[..., TrustRule], seen: Any) -> Callable[..., TrustRule]:
         """Return a function of the numbers of both rules, by their names in `estimated`, that returns them together."""
 
         def made(**numbers: float) -> TrustRule:
@@ -210,31 +204,19 @@ class WithSeen:
         """As in the person's own rule."""
         return counts_of(self.own)
 
-    @property
-    def sees_silence(self) -> bool:
-        """As in the person's own rule."""
-        return sees_silence(self.own)
-
     def update(self, theta: Floats, event: Event, *count: Any) -> Floats:
         """Return theta after a suggestion to oneself."""
         return self.own.update(theta, event, *count)
 
     def __getattr__(self, name: str) -> Any:
-        """Return what else the person's own rule has, such as `counted`."""
+        """Return what else the person's own rule has, such as `counted` and `sees_silence`."""
         if name.startswith("__") or name in ("own", "seen"):  # of a copy that has no rules yet
             raise AttributeError(name)
         return getattr(self.own, name)
 
 
-ShippedSeen: TypeAlias = SeenNothing | SeenOutcome | SeenFollowed | SeenSteps
-
-SEEN_RULES: dict[str, type[ShippedSeen]] = {
-    "none": SeenNothing,
-    "outcome": SeenOutcome,
-    "followed": SeenFollowed,
-    "steps": SeenSteps,
-}
-"""The shipped rules, by name."""
+SEEN_RULES: dict[str, Any] = by_name(SeenNothing, SeenOutcome, SeenFollowed, SeenSteps)
+"""The classes of the shipped rules, by name."""
 
 
 def seen_rule(given: Any) -> SeenRule:
@@ -245,14 +227,9 @@ def seen_rule(given: Any) -> SeenRule:
     ValueError
         There is no such rule, or it has no such field.
     """
-    numbers = dict(given) if isinstance(given, Mapping) else {"rule": given}
-    name = numbers.pop("rule", None)
-    if isinstance(name, str) or isinstance(given, Mapping):
-        if name not in SEEN_RULES:
-            said = f"rule '{name}'" if name else "rule is missing"
-            right = expected(str(name), SEEN_RULES) if name else f"expected one of {', '.join(SEEN_RULES)}"
-            raise DeclarationError(("rule",), None, f"{said}; {right}", f"{said}; {right}")
-        return replace(SEEN_RULES[name](), **numbers)
+    if isinstance(given, str | Mapping):
+        shipped: SeenRule = of_table(SEEN_RULES, {"rule": given} if isinstance(given, str) else given)
+        return shipped
     if not callable(getattr(given, "update", None)):
         why = f"{given!r}; expected a name, or an object with a method update(theta, event)"
         raise ValueError(why)  # noqa: TRY004
@@ -284,9 +261,8 @@ class Neighbours:
         PlainValidator(seen_rule),
         Expected('the name of a rule, or a table such as {rule = "outcome", eta_seen = 0.1}'),
         Field(
-            description="How theta moves by what is seen of a neighbour: none, outcome (equation 7 with the "
-            "neighbour's change of value), followed (it rises when the neighbour follows, and falls when not) or steps "
-            "(fixed steps of log-odds)."
+            description="How theta moves by what is seen of a neighbour: a table, or one of the names "
+            f"{', '.join(SEEN_RULES)}."
         ),
     ] = SeenNothing()
     sees: Annotated[
@@ -381,10 +357,10 @@ def name_of(given: Neighbours | None) -> str:
         It is a rule of the user's own.
     """
     rule = seen_rule_of(given)
-    if not isinstance(rule, ShippedSeen):
-        why = f"neighbours.rule: {type(rule).__name__}; expected one of {', '.join(SEEN_RULES)}"
-        raise ValueError(why)  # noqa: TRY004
-    return rule.tag["rule"]
+    name = next((name for name, kind in SEEN_RULES.items() if kind is type(rule)), None)
+    if name is None:
+        raise ValueError(f"neighbours.rule: {type(rule).__name__}; expected one of {', '.join(SEEN_RULES)}")
+    return name
 
 
 def moves_theta(given: Neighbours | None) -> bool:

@@ -23,7 +23,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeVar
 
 from pydantic import Field
 
@@ -331,13 +331,18 @@ def outcome_at_disagreement(
     return LogitSteps(agreement, gain, loss, feedback=feedback)
 
 
-def _by_name(*makers: Callable[..., TrustRule]) -> dict[str, Callable[..., TrustRule]]:
-    """Return classes by their tags, and functions by their own names."""
+R = TypeVar("R")
+
+
+def by_name(*makers: Callable[..., R]) -> dict[str, Callable[..., R]]:
+    """Return classes of rules by their tags, and functions that make rules by their own names."""
     named: Any = makers
     return {getattr(one, "tag", {"rule": one.__name__.replace("_", "-")})["rule"]: one for one in named}
 
 
-RULES = _by_name(EquationSeven, constant, outcome, outcome_at_disagreement, Reliability)
+RULES: dict[str, Callable[..., TrustRule]] = by_name(
+    EquationSeven, constant, outcome, outcome_at_disagreement, Reliability
+)
 """Classes of the shipped rules, or functions that make them, by name."""
 
 
@@ -359,7 +364,7 @@ def fitted_of(name: str) -> dict[str, Fitted]:
 
 
 def plain_rule(rule: TrustRule) -> dict[str, Any]:
-    """Return a shipped rule as plain data, from which `rule_of` makes an equal one.
+    """Return a shipped rule as plain data, from which `of_table` makes an equal one.
 
     Raises
     ------
@@ -372,8 +377,15 @@ def plain_rule(rule: TrustRule) -> dict[str, Any]:
     return found
 
 
-def rule_of(given: Mapping[str, Any]) -> TrustRule:
-    """Return the rule of a table, whose field `rule` is its name; fields that it lacks are the rule's own.
+def of_table(rules: Mapping[str, Callable[..., R]], given: Mapping[str, Any]) -> R:
+    """Return the one of some rules that a table has, whose field `rule` is its name; other fields are the rule's.
+
+    Parameters
+    ----------
+    rules : mapping of str to callable
+        What makes each rule, as from `by_name`.
+    given : mapping of str to object
+        The table; fields that it lacks have their defaults.
 
     Raises
     ------
@@ -381,12 +393,12 @@ def rule_of(given: Mapping[str, Any]) -> TrustRule:
         There is no such rule, or it has no such field.
     """
     name, numbers = given.get("rule"), {key: value for key, value in given.items() if key != "rule"}
-    if name not in RULES:
+    if name not in rules:
         said = "is missing" if name is None else f"'{name}'"
-        right = expected(str(name), RULES) if name else f"expected one of {', '.join(RULES)}"
+        right = expected(str(name), rules) if name else f"expected one of {', '.join(rules)}"
         raise DeclarationError(("rule",), None, f"{said}; {right}", f"rule {said}; {right}")
-    made: Any = RULES[name]()
-    found: TrustRule = replace(made, **numbers)
+    made: Any = rules[str(name)]()
+    found: R = replace(made, **numbers)
     return found
 
 

@@ -34,10 +34,11 @@ from assist.people.trust_rules import (
     Reliability,
     TrustRule,
     constant,
+    of_table,
     outcome,
     outcome_at_disagreement,
-    rule_of,
 )
+from assist.people.trust_rules import RULES as SHIPPED
 from planner.system.errors import InputFileError
 
 SIMULATED: Any = importlib.import_module("simulated_people")
@@ -355,7 +356,7 @@ def test_a_population_file_has_the_rule(rule: str, log_file: Path, tmp_path: Pat
     simulated = ("simulate", TINY, *["--humans", "1", "--pool", "2", "--episodes", "2", "--policy", "attention"])
     done = invoke(*simulated, "--population", people, "--json")
     assert done.exit_code == 0, done.output
-    setting, own = json.loads(done.stdout)["setting"], rule_of(record["trust"])
+    setting, own = json.loads(done.stdout)["setting"], of_table(SHIPPED, record["trust"])
     if isinstance(own, EquationSeven):
         assert (setting["trust"], setting["eta"]) == ("paper", own.eta)
     else:

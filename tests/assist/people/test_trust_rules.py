@@ -40,10 +40,10 @@ from assist.people.trust_rules import (
     TrustRule,
     constant,
     described,
+    of_table,
     outcome,
     outcome_at_disagreement,
     plain_rule,
-    rule_of,
 )
 from assist.person.belief_filter import update
 from assist.person.pomdp import AssistPOMDP, Behaviour
@@ -93,7 +93,7 @@ def test_all_that_a_shipped_rule_needs_is_its_class(monkeypatch: pytest.MonkeyPa
     setting = Setting(trust={"rule": "sluggish", "share": 0.4})  # type: ignore[arg-type]
     assert setting.trust == Sluggish(0.4)
     assert Setting(**plain(setting)) == setting
-    assert rule_of(plain_rule(Sluggish(0.3))) == Sluggish(0.3)
+    assert of_table(RULES, plain_rule(Sluggish(0.3))) == Sluggish(0.3)
     assert described("sluggish") == "A rule by which theta moves by a share of the way"
     family = families(Method())["sluggish"]
     assert family.tried == ((np.log(0.1),), (np.log(0.3),))
@@ -349,7 +349,7 @@ def test_a_study_has_a_condition_for_each_rule(tmp_path: Path) -> None:
     rules = [setting.trust for _, setting in study.conditions[0].settings]
     assert rules == ["constant", LogitSteps(0.03, gain=0.5, loss=1.0)]
     saved = study.record()["conditions"][0]["settings"][1][1]["trust"]
-    assert rule_of(saved) == rules[1]
+    assert of_table(RULES, saved) == rules[1]
 
 
 @pytest.mark.parametrize("trust", thinned(["outcome", "paper", "constant"], 3))
