@@ -21,13 +21,13 @@ from assist.people.decision import NOTHING
 from assist.people.human import Human, HumanModel
 from assist.people.ranges import Population
 from assist.people.trust_rules import Event, TrustRule, constant, outcome
+from assist.people.user_code import UserCodeError
 from assist.person.behaviour import Behaviour
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.solver import solve
-from assist.studies import own_code_trials
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
 from assist.team.state import NOBODY, TeamAction, TeamState
@@ -204,6 +204,5 @@ class Leaves(Rested):
 
 
 def test_a_rule_that_leads_out_of_the_range_in_silence_is_told() -> None:
-    said = own_code_trials._events(Leaves())
-    assert said is not None
-    assert "in silence; expected a number from 0 to 1" in said
+    with pytest.raises(UserCodeError, match=r"leads to theta 1\.1 in silence; expected a number from 0 to 1"):
+        Setting(trust=Leaves())
