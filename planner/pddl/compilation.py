@@ -6,7 +6,7 @@ says how the compiled names and numbers are shown, so that users only meet those
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
@@ -14,7 +14,8 @@ from . import numeric_compiler
 from .conditions import TRUE
 from .declarations import Symbol
 from .formulas import listed, word
-from .reader import Action, Reading
+from .instances import Expression
+from .reader import Action, DurativeAction, Reading, Rule
 from .value_sets import Trial
 
 MOST_VALUES = 1_000
@@ -88,7 +89,25 @@ class Compiler:
         if self._numeric is None:
             return Compilation(self.reading)
         found = self._numeric.result(trial)
-        return Compilation(found.reading, found.unit, found.actions, found.numbers, found.compiled, found.notes)
+        notes = (*found.notes, *without_value(self.reading))
+        return Compilation(found.reading, found.unit, found.actions, found.numbers, found.compiled, notes)
+
+
+def condition_of(action: Action | DurativeAction) -> Expression:
+    """Return all that an action requires."""
+    return action.precondition if isinstance(action, Action) else action.condition
+
+
+def without_value(reading: Reading) -> Iterator[str]:
+    """Yield a sentence on each function that conditions of actions read, and that never has a value."""
+    actions = [each for each in reading.domain.entries if not isinstance(each, Rule)]
+    known = {term[0] for term in reading.problem.values}
+    known |= {part.parts[1].head for each in actions for part in each.effect.walk() if part.head == "assign"}
+    for name in reading.domain.functions:
+        readers = [each.name for each in actions if any(part.head == name for part in condition_of(each).walk())]
+        if readers and name not in known and name != "total-cost":
+            of = f"condition of {readers[0]}" if len(readers) == 1 else f"conditions of {', '.join(readers)}"
+            yield f"({name}) has no value at the beginning, so that no comparison with it holds, as in the {of}"
 
 
 def compiled(reading: Reading, *, most_values: int = MOST_VALUES) -> Compilation:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -103,6 +103,8 @@ class _Files:
             **declarations.objects(instance.domain, domain.section(":constants"), self.types, {}, ""),
             **declarations.objects(instance.problem, problem.section(":objects"), self.types, {}, ""),
         }
+        single = {part.head for part in _functions(domain) if len(part.parts) == 1} - self.objects.keys()
+        domain, problem = _bracketed(domain, single), _bracketed(problem, single)
         self._instance = instance
         self.actions = {
             part.parts[1].word: part for part in domain.parts if part.head in (":action", ":durative-action")
@@ -349,6 +351,23 @@ def _combined(value: Fraction, changes: Sequence[tuple[str, Fraction]]) -> Fract
         raise MismatchError("changes a number in two ways at once")
     kind, amount = changes[0]
     return amount if kind == "assign" else value * amount if kind == "scale-up" else value / amount
+
+
+def _functions(domain: Expression) -> Sequence[Expression]:
+    """Return the functions that a domain declares, each with its parameters."""
+    section = domain.section(":functions")
+    return [part for part in (() if section is None else section.parts[1:]) if part.parts]
+
+
+def _bracketed(expression: Expression, functions: Set[str]) -> Expression:
+    """Return an expression in which functions without arguments, which may be words in numbers, have brackets."""
+
+    def inner(part: Expression) -> Expression:
+        if part.word in functions and expression.head in (*COMPARISONS, *CHANGES, *"+-*/", ":metric"):
+            return Expression("", (part,), part.place)
+        return _bracketed(part, functions)
+
+    return expression if expression.word else expression._replace(parts=tuple(map(inner, expression.parts)))
 
 
 def _ground(expression: Expression, scope: Scope) -> Term:

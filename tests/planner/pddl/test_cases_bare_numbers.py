@@ -1,0 +1,49 @@
+"""Functions without arguments that are written as words, and functions that never have a value, as they were met."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from assist.cli import main
+from planner import load
+
+pytestmark = pytest.mark.cases
+
+DOMAIN = """
+(define (domain w) (:requirements :typing :numeric-fluents) (:types place) (:constants spare - place)
+ (:predicates (at ?x - place) (road ?x ?y - place)) (:functions (battery))
+ (:action walk :parameters (?x ?y - place) :precondition (and (at ?x) (road ?x ?y) (>= battery 1))
+  :effect (and (not (at ?x)) (at ?y) (decrease battery (/ (+ battery battery) (* 2 battery))))))
+"""
+PROBLEM = """
+(define (problem w1) (:domain w) (:objects a b c - place)
+ (:init (at a) (road a b) (road b c) (= (battery) 3)) (:goal (and (at c) (<= battery 1))))
+"""
+
+
+def solved(folder: Path, domain: str, problem: str) -> str:
+    (folder / "domain.pddl").write_text(domain)
+    (folder / "problem.pddl").write_text(problem)
+    done = CliRunner().invoke(main, ["solve", str(folder / "problem.pddl")])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_a_function_without_brackets_is_the_function(tmp_path: Path) -> None:
+    assert "(walk a b)\n(walk b c)" in solved(tmp_path, DOMAIN, PROBLEM)
+
+
+def test_a_function_that_never_has_a_value_is_told(tmp_path: Path) -> None:
+    """Such a comparison never holds: here nothing can be done."""
+    said = "(battery) has no value at the beginning, so that no comparison with it holds, as in the condition of walk"
+    printed = solved(tmp_path, DOMAIN, PROBLEM.replace("(= (battery) 3)", ""))
+    assert "unsolvable" in printed
+    assert said in " ".join(printed.split())
+    assert said in str(load(tmp_path / "problem.pddl").note)
+    given = DOMAIN.replace(
+        "(:action walk", "(:action charge :parameters () :effect (assign (battery) 2)) (:action walk"
+    )
+    assert "has no value" not in solved(tmp_path, given, PROBLEM.replace("(= (battery) 3)", ""))
