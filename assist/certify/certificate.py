@@ -55,7 +55,8 @@ class Certificate(Result):
     def __repr__(self) -> str:
         value = f"{self.value:.3f} ± {self.value_stderr:.3f}"
         gap = f"gap at most {self.gap} (upper bound {self.upper:.3f})"
-        return f"<{self.policy}: value {value} over {self.episodes:,} episodes, {gap}>"
+        drawn = f"{self.episodes:,} episodes with people drawn from the robot's prior"
+        return f"<{self.policy}: value {value} over {drawn}, {gap}>"
 
     @property
     def within_error(self) -> bool:

@@ -116,7 +116,8 @@ class TeamBound(Result):
     def __repr__(self) -> str:
         how = "prices of attention" if len(self.price) else "free attention"
         upper = f"upper bound {self.upper:.3f} on the value of every policy"
-        return f"<{upper} for {len(self.team)} {'people' if len(self.team) > 1 else 'person'}, with {how}>"
+        people = "people" if len(self.team) > 1 else "person"
+        return f"<{upper} for {len(self.team)} {people} drawn from the robot's prior, with {how}>"
 
     def records(self) -> list[dict[str, Any]]:
         """Return one row: the number of people, the bound in cost units, its slack, and the seconds."""

@@ -26,7 +26,7 @@ from ..declare.declared import sentences
 from ..people.decision import Floats
 from ..people.goals import prior_over
 from ..people.terms import Term, features
-from .log import Fault, Log, log_of
+from .log import Fault, Log, log_of, selected
 from .method import Method
 from .observations import EvaluatedStates, Ints, Observations, UnknownGoals, observe
 from .replay import Recording, replay, situation
@@ -258,7 +258,9 @@ def _require_known(reading: Reading) -> None:
 def warned(log: Log, faults: tuple[Fault, ...]) -> None:
     """Warn of the faults of a log."""
     others = f" (and {len(faults) - 1} more; see `faults`)" if len(faults) > 1 else ""
-    warnings.warn(f"{log.name}:{faults[0].line}: {faults[0]}{others}", stacklevel=_outside())
+    lost = selected(log, faults)
+    also = "" if lost is None else f"; {lost}"
+    warnings.warn(f"{log.name}:{faults[0].line}: {faults[0]}{others}{also}", stacklevel=_outside())
 
 
 def _outside() -> int:

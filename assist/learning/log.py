@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -28,6 +29,12 @@ from .log_rows import Broken, Names, Row, Taken
 from .log_steps import moment
 
 EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
+
+SUGGESTION = "suggestion "
+"""Begins what is wrong with a suggestion, behind the step."""
+
+SHOWN = 5
+"""People who are named in a message."""
 
 GAPS = "--set gaps=true (in Python gaps=True)"
 
@@ -242,6 +249,27 @@ def told(faults: Iterable[Fault], name: object) -> list[str]:
         if rest:
             lines.append(f"{name}:{min(rest)}: {len(rest):,} more of this kind, to line {max(rest)}")
     return lines
+
+
+def selected(log: Log, faults: Iterable[Fault]) -> str | None:
+    """Return a sentence on the episodes that are left out because of faults; None if there are none.
+
+    People who make mistakes, or meet unusual suggestions, lose more of their episodes than others.
+    """
+    spoilt = {(one.person, one.episode) for one in faults if one.spoils and one.episode is not None}
+    every = {one.names for one in log.entries} | spoilt
+    if not spoilt:
+        return None
+    of_person = Counter(str(person) for person, _ in spoilt)
+    whole = Counter(str(person) for person, _ in every)
+    people = [f"{person} {count} of {whole[person]}" for person, count in sorted(of_person.items())]
+    more = f" and {len(people) - SHOWN} more people" if len(people) > SHOWN else ""
+    used, whose = f"{len(every) - len(spoilt)} of {len(every)} episodes are used", ", ".join(people[:SHOWN])
+    said = f"{used}; left out are {whose}{more}, which are no random choice, so that estimates may be biased"
+    advised = {(one.person, one.episode) for one in faults if one.spoils and f": {SUGGESTION}" in one.message}
+    if advised:
+        said += f"; {len(advised)} by the column suggestion: without it, all of these give expertise (beta) alone"
+    return said
 
 
 def in_order(name: str) -> list[tuple[int, int, str]]:

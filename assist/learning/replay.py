@@ -23,7 +23,7 @@ from ..people.action_names import Matcher, Words, words_of
 from ..people.choices import STAND_STILL, WAIT
 from ..people.decision import NOTHING
 from ..people.terms import NOTHING_YET, Situation, Vocabulary, goals_met
-from .log import Entry, Fault, Log, in_order
+from .log import SUGGESTION, Entry, Fault, Log, in_order
 from .log_rows import Names
 
 
@@ -290,7 +290,10 @@ class _Walk:
         if not len(actions):  # the person can only wait
             targets = np.array([state], dtype=np.int64)
         chosen = matcher.slot(event.action, actions)
-        suggested = NOTHING if event.suggestion is None else matcher.slot(event.suggestion, actions)
+        try:
+            suggested = NOTHING if event.suggestion is None else matcher.slot(event.suggestion, actions)
+        except Refusal as error:
+            raise Refusal("other", why=f"{SUGGESTION}{error}") from None
         if not event.robot:
             self.taken.append(_Choice(event.entry, state, actions, targets.astype(np.int64), chosen, suggested))
         self.state = int(targets[chosen])
@@ -299,10 +302,10 @@ class _Walk:
         """Return the faults of lines, from an event on, that match no action of the task in any state."""
         found = []
         for event in self.events[start:]:
-            for words in (event.action, event.suggestion):
+            for what, words in (("", event.action), (SUGGESTION, event.suggestion)):
                 why = None if words is None else matcher.unknown(words)
                 if why is not None:
-                    found.append(_at(event.entry, f"step {event.entry.step}: {why}"))
+                    found.append(_at(event.entry, f"step {event.entry.step}: {what}{why}"))
         return found
 
 

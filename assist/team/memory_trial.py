@@ -4,16 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ..people.user_code import UserCodeError
 from .episodes import Episodes
 from .policies import UserPolicy
-from .state import TeamPolicy
+from .state import TeamAction, TeamPolicy, TeamState
 
 PART = 8
 """Episodes that are simulated together in a part of a trial."""
+
+
+class _Twice:
+    """A policy that is called twice for each decision, and whether both choices ever differed."""
+
+    def __init__(self, policy: TeamPolicy) -> None:
+        self._policy, self.differs = policy, False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._policy, name)
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        """Return the first choice."""
+        first, second = self._policy(team), self._policy(team)
+        self.differs |= not _same(first, second)
+        return first
+
+
+def _same(one: TeamAction, other: TeamAction) -> bool:
+    """Return whether robots go to the same people and do the same there; a simulation tells what is no choice."""
+    if not (isinstance(one, TeamAction) and isinstance(other, TeamAction)):
+        return True
+    goes = one.person >= 0
+    return np.array_equal(one.person, other.person) and np.array_equal(one.action[goes], other.action[goes])
+
 
 Again = Callable[[TeamPolicy, Sequence[int]], Episodes]
 """Simulates some episodes, given by their numbers, with a policy."""
@@ -29,8 +55,13 @@ def fault_of_memory(policy: TeamPolicy, again: Again, episodes: int) -> str | No
     episodes : int
         Number of episodes that are simulated, together and in parts.
     """
-    every = range(episodes)
-    together = again(policy, every).discounted_return
+    every, twice = range(episodes), _Twice(policy)
+    together = again(twice, every).discounted_return
+    if twice.differs:
+        return (
+            "chooses otherwise when it is called again in the same state; expected the same choice, without memory of "
+            "former calls and without random numbers"
+        )
     parts = [again(policy, every[first : first + PART]).discounted_return for first in range(0, episodes, PART)]
     if not (together != np.concatenate(parts)).any():
         return None

@@ -58,11 +58,13 @@ class ReadingOptions(NamedTuple):
     def replayed(self, file: Path, setting: ReadingSetting, task: Any, **more: Any) -> Evidence:
         """Replay a log, as `learning.replayed` does; tell its faults. Expected errors end the command in one line."""
         from ...learning.evidence import replayed
-        from ...learning.log import told
+        from ...learning.log import selected, told
 
-        def tell(_: Log, faults: tuple[Fault, ...]) -> None:
+        def tell(log: Log, faults: tuple[Fault, ...]) -> None:
             for line in told(faults, file):
                 click.echo(line, err=True)
+            if (lost := selected(log, faults)) is not None:
+                click.echo(f"{file}: {lost}", err=True)
             if self.strict:
                 fail(f"{file}: nothing is estimated, because of --strict", ExitCode.FAILED)
 

@@ -88,6 +88,18 @@ class ComparedPolicy:
         )  # fmt: skip
 
 
+IN_MODEL = "value in the robot's model"
+"""Head of the column with the value that a gap is about."""
+
+OF_MODEL = f"{IN_MODEL}, and gap: with people drawn from the robot's prior, not with those of the other columns"
+"""The note on that column."""
+
+
+def _certified(certificate: Certificate | None) -> list[str]:
+    """Return the value that a certificate compares with its bound, and the gap."""
+    return ["", ""] if certificate is None else [_mean(certificate.value, certificate.value_stderr), certificate.gap]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class PolicyComparison(Result):
     """Policies that were compared on common random numbers; a sequence of `ComparedPolicy`.
@@ -124,7 +136,8 @@ class PolicyComparison(Result):
         Columns are the name that `compare` was given for the pools' keys, `humans`, `policy`, `episodes`,
         `finished`, `cut_off`; for each of `MEASURES` the mean by its name, and the name with `_error` (standard error),
         `_low` and `_high`; the same for the name with `_difference`, without an error; `costs` and `moves` with their
-        `_error`; and `upper` and `gap_percent` of certificates.
+        `_error`; and of certificates `model_value`, the value in the robot's model, `upper` and `gap_percent`. These are
+        about people who are drawn from the robot's prior, and not about those of the other columns.
         """
         return [self._columns(row) for row in self.rows]
 
@@ -139,7 +152,8 @@ class PolicyComparison(Result):
         for name in (name for name in SHOWN if name not in MEASURES):
             found |= dict(zip((name, f"{name}_error"), getattr(row.summary, name), strict=True))
         if row.certificate is not None:
-            found |= {"upper": row.certificate.upper, "gap_percent": row.certificate.gap_percent}
+            found |= {"model_value": row.certificate.value, "upper": row.certificate.upper}
+            found |= {"gap_percent": row.certificate.gap_percent}
         return found
 
     def figure(self) -> Figure:
@@ -166,11 +180,11 @@ class PolicyComparison(Result):
         lines = [
             [
                 *self._condition(row), *(_mean(*getattr(row.summary, name)) for name in shown),
-                f"{row.summary.cut_off}", *([row.certificate.gap if row.certificate else ""] if with_gap else []),
+                f"{row.summary.cut_off}", *(_certified(row.certificate) if with_gap else []),
             ]
             for row in self.rows
         ]  # fmt: skip
-        return [*head, *(["gap at most"] if with_gap else [])], lines
+        return [*head, *([IN_MODEL, "gap at most"] if with_gap else [])], lines
 
     def differences(self) -> Cells:
         """Return the head and the lines of the table of differences to the baseline, with their intervals."""
@@ -184,8 +198,9 @@ class PolicyComparison(Result):
         return head, lines
 
     def notes(self) -> list[str]:
-        """Return a sentence for each policy and condition without suggestions, as none was worth its cost."""
-        return [
+        """Return a sentence on certificates, and one for each policy and condition without a suggestion worth its cost."""
+        of_model = [OF_MODEL] if any(row.certificate is not None for row in self.rows) else []
+        return of_model + [
             f"{', '.join(self._condition(row)[::-1])}: {not_worth_its_cost(row.summary.c_suggest_too_high)}"
             for row in self.rows if row.summary.c_suggest_too_high is not None
         ]  # fmt: skip

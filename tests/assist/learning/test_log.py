@@ -430,7 +430,8 @@ def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 1
     cut = f"{file}:9: the last line is cut off; the lines before it are used"
-    assert result.stderr.splitlines() == [f"{file}:{line}: {message}", cut]
+    lost = f"{file}: 1 of 2 episodes are used; left out are ann 1 of 1, which are no random choice, so that "
+    assert result.stderr.splitlines() == [f"{file}:{line}: {message}", cut, f"{lost}estimates may be biased"]
     ann, bob = json.loads(result.stdout)
     assert (ann["person"], ann["beta"], ann["error"]) == ("ann", None, "no episode can be used")
     assert list(ann)[:5] == ["person", "beta", "beta_interval", "beta_open", "theta"]
@@ -440,6 +441,19 @@ def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
     strict = CliRunner().invoke(main, [*command, "--strict"])
     assert (strict.exit_code, strict.stdout) == (1, "")
     assert strict.stderr.splitlines()[-1] == f"{file}: nothing is estimated, because of --strict"
+
+
+@pytest.mark.cases
+def test_episodes_that_a_suggestion_costs_are_counted(tmp_path: Path) -> None:
+    """They are those with mistakes; without the column of suggestions, they can be used."""
+    wrong = [row | ({"suggestion": "(fetch box-c)"} if row["person"] == "ann" else {}) for row in GOOD]
+    file = write_log(tmp_path / "log.jsonl", wrong)
+    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file)])
+    assert "step 0: suggestion (fetch box-c) is no action of the task" in result.stderr
+    said = result.stderr.splitlines()[-1]
+    people = len({row["person"] for row in GOOD})
+    assert f"{people - 1} of {people} episodes are used; left out are ann 1 of 1, which are no random choice" in said
+    assert said.endswith("; 1 by the column suggestion: without it, all of these give expertise (beta) alone")
 
 
 def test_what_depends_on_an_unknown_cost_is_left_out(tiny: Table) -> None:

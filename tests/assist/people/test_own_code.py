@@ -89,6 +89,21 @@ class Stuck:
         return team.act(assigned(team, np.where(self.since > 1, self.since, -1.0)[:, None]), team.first_optimal())
 
 
+class Alternating:
+    """Does not help the same person twice in succession."""
+
+    last: Any = None
+
+    def __call__(self, team: Any) -> Any:
+        worth = np.where(team.active, 1.0, -1.0)[:, None, :] - team.to()
+        if self.last is not None and len(self.last) == len(worth):
+            rows, robots = np.nonzero(self.last >= 0)
+            worth[rows, :, self.last[rows, robots]] = -1
+        person = assigned(team, worth)
+        self.last = person.reshape(len(worth), -1).copy()
+        return team.act(person, team.first_optimal())
+
+
 class Draws:
     """Goes to anybody."""
 
@@ -121,6 +136,7 @@ def broken(team: Any) -> Any:
     [
         (of_the_batch, "each team by itself", "other teams"),
         (Stuck(), "each team by itself", "without memory"),
+        (Alternating(), "each team by itself", "called again in the same state"),
         (Draws, "each team by itself", "without random numbers"),
         (outside, "three people", "expected 0 to 2"),
         (broken, "three people", "no_such_thing"),

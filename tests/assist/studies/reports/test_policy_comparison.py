@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import html
 import math
 import pickle
 import weakref
@@ -168,7 +169,15 @@ def test_the_gap_to_the_optimum_is_that_of_certify(pool: Pool) -> None:
     bound, certificates = certify(pool, ["none", "attention"], team=[0], episodes=30, seed=2, gap=0.1)
     assert found.to_frame().upper.tolist() == [bound.upper] * 2
     assert [row.certificate for row in found] == certificates
-    assert "gap at most" in str(found)
+    frame = found.to_frame()
+    assert frame.model_value.tolist() == [one.value for one in certificates]
+    assert (100 * (frame.upper - frame.model_value) / frame.model_value.abs()).tolist() == frame.gap_percent.tolist()
+    for shown in (str(found), html.unescape(found._repr_html_())):
+        assert "value in the robot's model" in shown
+        assert "gap at most" in shown
+        assert "with people drawn from the robot's prior, not with those of the other columns" in shown
+    assert "drawn from the robot's prior" in repr(bound)
+    assert "drawn from the robot's prior" in repr(certificates[0])
 
 
 def test_it_is_shown_in_notebooks_drawn_and_pickled(found: PolicyComparison) -> None:
