@@ -136,8 +136,8 @@ class PolicyComparison(Result):
         Columns are the name that `compare` was given for the pools' keys, `humans`, `policy`, `episodes`,
         `finished`, `cut_off`; for each of `MEASURES` the mean by its name, and the name with `_error` (standard error),
         `_low` and `_high`; the same for the name with `_difference`, without an error; `costs` and `moves` with their
-        `_error`; and of certificates `model_value`, the value in the robot's model, `upper` and `gap_percent`. These are
-        about people who are drawn from the robot's prior, and not about those of the other columns.
+        `_error`; and of certificates `model_value`, the value in the robot's model, `upper` and `gap_percent`, about
+        people who are drawn from the robot's prior, and not about those of the other columns.
         """
         return [self._columns(row) for row in self.rows]
 
@@ -198,7 +198,7 @@ class PolicyComparison(Result):
         return head, lines
 
     def notes(self) -> list[str]:
-        """Return a sentence on certificates, and one for each policy and condition without a suggestion worth its cost."""
+        """Return a sentence on certificates, and one for each policy of which no suggestion was worth its cost."""
         of_model = [OF_MODEL] if any(row.certificate is not None for row in self.rows) else []
         return of_model + [
             f"{', '.join(self._condition(row)[::-1])}: {not_worth_its_cost(row.summary.c_suggest_too_high)}"
