@@ -33,7 +33,7 @@ class _Twice:
         return first
 
 
-def _same(one: TeamAction, other: TeamAction) -> bool:
+def _same(one: Any, other: Any) -> bool:
     """Return whether robots go to the same people and do the same there; a simulation tells what is no choice."""
     if not (isinstance(one, TeamAction) and isinstance(other, TeamAction)):
         return True
