@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from conftest import TESTS, thinned
+from conftest import TESTS
 from gates_records import here, near
 from learning_figures import figures, plain
 
@@ -24,7 +24,7 @@ def every() -> dict[str, Any]:
     return dict(figures(large=False))
 
 
-@pytest.mark.parametrize("name", thinned(RECORDED))
+@pytest.mark.parametrize("name", RECORDED)
 def test_figures_are_as_recorded(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
