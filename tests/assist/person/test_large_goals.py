@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import thinned
 from teams import equal
 from test_unknown_goals import three_goals
 
@@ -212,7 +211,8 @@ def test_the_size_of_a_part_counts_memory_where_the_goal_is_known() -> None:
         Pool.sample(table, 3, seed=1, states=1, memory_limit_mb=0.4)
 
 
-@pytest.mark.parametrize("policy", thinned(["attention", "attention-never"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["attention", "attention-never"])
 def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Questions about goals are worth as much, and so is help against none."""
     goals, setting = three_goals("sealed"), Setting(c_suggest=0.2, c_move=0.1, c_ask=0.05, ask_error=0.1, max_steps=60)

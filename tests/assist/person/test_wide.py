@@ -182,6 +182,7 @@ def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny
         assert len(only.problem.now.pomdp.robot_actions) < len(tiny)
 
 
+@pytest.mark.slow
 def test_suggestions_after_which_choices_were_forgotten_are_heard_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A row may stay while the choices after its suggestions are evicted; people act as on the whole task then, too."""
     monkeypatch.setattr(shared_task, "ROWS", 200)

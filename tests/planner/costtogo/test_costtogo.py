@@ -119,6 +119,10 @@ def test_a_task_without_actions() -> None:
     assert elsewhere[elsewhere.initial] == np.inf
 
 
+def test_a_table_is_swept_and_searches_for_nothing(table: Table) -> None:
+    assert (table.method, table.searches) == ("sweep", False)
+
+
 def test_a_table_cannot_be_written_into(table: Table) -> None:
     with pytest.raises(ValueError, match="read-only"):
         table.distance[0] = 0
