@@ -27,6 +27,9 @@ from .events import kinds
 
 E = TypeVar("E", bound=Event)
 
+FIRST = "1.0"
+"""The version whose sessions are files of lines."""
+
 
 def event_of(base: type[E], given: Any) -> E:
     """Return an event below a class: the given one, or that of data from JSON, whose field `kind` names its class.
@@ -184,10 +187,26 @@ def require_version(file: Path, found: Mapping[str, Any], format: str) -> None:
     """
     known = str(found.get("format", ""))
     if known != format and _kind(known) == _kind(format):
-        version = found.get("version", "1.0")
-        raise InputFileError(
-            f"{file}: was recorded by kitassist {version}, and only that version reads it; expected another folder"
-        )
+        raise _other_version(file, str(found.get("version", FIRST)))
+
+
+def require_database(journal: Path) -> None:
+    """Check that no session of the first version, a file of lines, stands where a database is expected.
+
+    Raises
+    ------
+    InputFileError
+        It does; the message states which version reads it.
+    """
+    lines = journal.with_suffix(".jsonl")
+    if lines.exists() and not journal.exists():
+        raise _other_version(lines, FIRST)
+
+
+def _other_version(file: Path, version: str) -> InputFileError:
+    return InputFileError(
+        f"{file}: was recorded by kitassist {version}, and only that version reads it; expected another folder"
+    )
 
 
 def _kind(format: str) -> str:

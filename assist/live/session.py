@@ -40,7 +40,7 @@ from .header import Header, header_of, require_same
 from .history import History
 from .names import LONGEST_REASON, name_of
 from .people_store import PeopleStore, model_of
-from .record import Record, TeamRecord
+from .record import Record, TeamRecord, require_database
 from .reports import Reports
 from .store import EventStore, JournalError, Tombstone, utc
 from .team import Team
@@ -107,6 +107,7 @@ class Session(Reports):
         self._clock, self._people, self._learned = clock, people, set[str]()
         self.changed: Callable[[set[str], Sequence[bool]], None] | None = None
         self.lock = threading.RLock()
+        require_database(Path(journal))
         self._store: EventStore[Any] = EventStore(Path(journal), self.kind)
         try:
             self._open()

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from planner.system.errors import InputFileError
 
 from ...declare.declared import NOTHING, is_declared, names_of, plain, shown
 from ...drawing.plots import userstudy as draw
+from ...live.record import require_database
 from ...live.store import stored
 from ...person.settings import Setting
 from ..plan_tables import among
@@ -33,9 +34,6 @@ from .report_files import ReportFigure, draw_all, html_page, rendered, write_fil
 from .userstudy_data import ALL, StudyData
 from .userstudy_summary import summarise
 from .wording import Wording, short
-
-if TYPE_CHECKING:
-    pass
 
 require = partial(report_files.require, "jinja2", "markdown")
 
@@ -77,6 +75,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
     study = read(folder / PLAN, carried_out=True)
     if (folder / JOURNAL).exists():
         return study, tables(study, folder / JOURNAL)
+    require_database(folder / JOURNAL)
     return study, Tables(**{name: list(rows(folder / f"{name}.csv", columns)) for name, columns in COLUMNS.items()})
 
 

@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import Field, Strict
+from pydantic import AfterValidator, Field, Strict
+
+from planner.system.errors import expected as meant
 
 from ...declare.declared import Expected, Number, Text, Truth, Whole, declared, shown
 
@@ -299,13 +301,24 @@ FORMS: dict[str, Form] = {
 """The forms by their names, in the order of messages."""
 
 
+def _known(form: str) -> str:
+    if form not in FORMS:
+        raise ValueError(f"'{form}'; {meant(form, FORMS)}")
+    return form
+
+
+FormName = Annotated[Text, AfterValidator(_known)]
+
+
 @declared
 class Item:
     """A question."""
 
     name: Annotated[Text, Field(description="Name in results.")]
     text: Annotated[Text, Field(description="The question.")]
-    form: Annotated[Text, Field(description="The form of its answer; the questionnaire's unless given.")] = Likert.name
+    form: Annotated[FormName, Field(description="The form of its answer; the questionnaire's unless given.")] = (
+        Likert.name
+    )
     required: Annotated[Truth, Field(description="Whether an answer is required; unless given, except in words.")] = (
         True
     )

@@ -66,8 +66,6 @@ def _questionnaire(file: Path, place: str, table: Table, texts: Catalogue) -> Qu
     own = {key: value for key, value in table.items() if key not in DEFAULTS}
     given = own.pop("items", None)
     found = convert(own, Questionnaire, file, place)
-    if found.form not in FORMS:
-        raise fault(file, f"{place}.form", f"'{found.form}'; {meant(found.form, FORMS)}")
     base = forms(texts)[found.form]
     items = base.items
     if items and given is not None:

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from ...declare.catalogue import Catalogue
-from ...declare.declared import Text, Truth, declared
-from .forms import FORMS, Answer, Item, Several, Words, Workload
+from ...declare.declared import Truth, declared
+from .forms import FORMS, Answer, FormName, Item, Several, Words, Workload
 
 STEP = 5
 """Step of the scales of NASA-TLX."""
@@ -24,7 +24,7 @@ BEFORE, AFTER, END = "before", "after", "end"
 class Questionnaire:
     """A group of questions on one page."""
 
-    form: Annotated[Text, Field(description="The form of the items that have none of their own.")]
+    form: Annotated[FormName, Field(description="The form of the items that have none of their own.")]
     name: Annotated[Words, Field(description="Name in results; that of its form unless given.")] = ""
     title: Annotated[Words, Field(description="Title; that of its form unless given.")] = ""
     introduction: Annotated[Words, Field(description="What is above the items; that of its form unless given.")] = ""

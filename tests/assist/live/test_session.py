@@ -435,6 +435,13 @@ def test_many_threads_report_and_everything_happens_once(opened: Callable[..., S
     assert len(stored(tmp_path / "journal.sqlite")[1]) == 8 + 80
 
 
+def test_a_folder_of_the_first_version_is_refused(opened: Callable[..., Session], tmp_path: Path) -> None:
+    (tmp_path / "journal.jsonl").write_text("{}\n")
+    with pytest.raises(InputFileError, match=r"journal\.jsonl: was recorded by kitassist 1\.0, and only that version"):
+        opened()
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["journal.jsonl"]
+
+
 @pytest.mark.parametrize(
     ("place", "error"),
     [

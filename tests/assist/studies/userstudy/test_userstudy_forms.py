@@ -16,7 +16,7 @@ from serving import served
 from test_live_pages import violations
 from userstudies import PLAN, Open, Part, opened, written
 
-from assist.declare.declared import names_of
+from assist.declare.declared import DeclarationError, names_of
 from assist.studies.reports.userstudy_summary import summarise
 from assist.studies.userstudy.export import files
 from assist.studies.userstudy.forms import Item
@@ -94,6 +94,12 @@ def test_what_is_wrong_with_a_form_is_said_with_its_line(tmp_path: Path) -> None
         assert message in str(refused.value)
         assert str(refused.value).startswith(f"{tmp_path / 'study.toml'}:")
         assert "\n" not in str(refused.value)
+
+
+def test_a_form_that_there_is_not_is_refused() -> None:
+    for made in (lambda: Item("a", "?", "choises"), lambda: Questionnaire("choises")):
+        with pytest.raises(DeclarationError, match="form: 'choises'; did you mean 'choices'"):
+            made()
 
 
 CHOICE = Item("a", "?", "choice", options=("x", "y"))
