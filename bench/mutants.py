@@ -41,7 +41,7 @@ TESTS = {
     "assist/people/hidden_type.py": "test_unknown_goals test_goal_bounds",
     "assist/people/type_kernels.py": "test_unknown_goals test_goal_bounds",
     "assist/people/belief.py": "test_belief test_unknown_goals test_trust_rules",
-    "assist/people/decision.py": "test_human test_equations test_misconception",
+    "assist/people/decision.py": "test_human test_equations test_misconception test_choice_models",
     "planner/costtogo/table.py": "test_costtogo test_ondemand test_tables",
     "planner/pddl/declarations.py": "test_pddl test_reading test_second_reader test_numbers_refused",
     "planner/pddl/formulas.py": "test_pddl test_reading test_second_reader test_numbers_refused",

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from assist.person.known_states import KnownStates
 from assist.person.lazy_policy import LazyPolicy
-from assist.person.seen_beliefs import Seen
 from assist.person.travel import Travel
 from assist.team.episodes import Episodes
 from assist.team.pool import Pool
@@ -26,7 +26,7 @@ def state(
     at = np.array([x])
     prior = np.array([policy.pomdp.prior for policy in pool.policies])[model[0]]
     belief, seen = prior if belief is None else belief, pool.setting.neighbourhood(len(x))
-    known = Seen(at[0], belief, np.array(erred or [False] * len(x)), seen)
+    known = KnownStates(at[0], belief, np.array(erred or [False] * len(x)), seen)
     return TeamState(
         0, ~choices.goal[at], np.full((1, len(pool.setting.robots)), location), model, known, pool.policies,
         travel or pool.setting.travel(len(x)), fleet=pool.setting.fleet,

@@ -40,7 +40,7 @@ ROOMS = {
         robot_actions trust_shares pomdp each_goal assumptions visiting_robot problem_arrays people_arrays
         random_kinds rows rounding action_values krylov belief_update sparse_iteration policy_iteration mdp_values
         problem_rows policy rows_of_people lazy_policy archive belief_filter dynamics_kernel
-        dynamics joint_belief beliefs seen_beliefs hidden_beliefs expected_values qmdp solution_cache
+        dynamics joint_belief beliefs known_states uncertain_states expected_values qmdp solution_cache
         alpha_vectors upper_hull convex_bound belief_hulls vector_lists hsvi search memory_needed
         further_beliefs solver time_expansion subproblem_frontier attention_subproblem frontier_bounds
         state_cache likely_states truncated_task shared_task closed_problem backups compliance_relaxation

@@ -16,10 +16,10 @@ from ..declare.refusals import AbsentError
 from ..people.decision import Floats
 from ..people.trust_rules import TrustRule
 from ..person.beliefs import Ask
-from ..person.hidden_beliefs import Hidden
 from ..person.joint_belief import JointBelief, is_certain
 from ..person.rows_of_people import by_model
 from ..person.settings import Setting
+from ..person.uncertain_states import UncertainStates
 from .advice import Question, Reason
 from .explanation import Remark
 from .live_task import LiveTask
@@ -282,7 +282,7 @@ class Roster:
         Records by place.
     problems : list of LiveTask
         Present tasks by place.
-    beliefs : Hidden
+    beliefs : UncertainStates
         What the robot knows of the people, by place: in `x` the row of each person's state, and in `erred` whether the
         last action was not an optimal choice.
     questions : dict of int to Question
@@ -314,7 +314,7 @@ class Roster:
         self.by_name: dict[str, RosterEntry] = {}
         self.model, self.robot = np.zeros((2, places), dtype=np.int64)
         self.present, self.ended = np.zeros((2, places), dtype=bool)
-        self.beliefs = Hidden(
+        self.beliefs = UncertainStates(
             np.zeros(places, dtype=np.int64), np.zeros((places, 0, 0)), np.zeros(places, dtype=bool)
         )  # fmt: skip
         self.event, self.time, self.touched = 0, 0.0, set[str]()

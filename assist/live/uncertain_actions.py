@@ -15,10 +15,10 @@ from ..people.choices import Choices
 from ..people.decision import NOTHING
 from ..person.beliefs import PersonModel
 from ..person.evidence import Evidence
-from ..person.hidden_beliefs import Glimpse, PerhapsMissed, Reported
 from ..person.joint_belief import JointBelief
 from ..person.observation_model import ObservationModel
 from ..person.settings import Setting
+from ..person.uncertain_states import Glimpse, PerhapsMissed, Reported
 from .live_task import LiveTask
 from .roster import RosterEntry, Step
 
@@ -85,7 +85,7 @@ def prepare_uncertain(problem: LiveTask) -> None:
 
 
 def glimpse_of(problem: LiveTask, choices: Choices, step: Step, model: ObservationModel | None) -> Glimpse:
-    """Return what was seen of a step, for `Hidden.update_by`.
+    """Return what was seen of a step, for `UncertainStates.update_by`.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
 """What a robot knows of people's tasks and types, and how it learns from what they do and say.
 
-There is one interface with two storages. `Seen` (`seen_beliefs`) is for people whose task states are known: dense
-arrays, which change by `belief_update.update_readable`. `Hidden` (`hidden_beliefs`) is for people whose actions may be
-missed or confused: it adds a distribution over task states for each person whose state is uncertain. In both, the type
-is uncertain, and with it a goal that is unknown. `team.goal_knowledge` and live teams choose a storage when they begin.
-Who holds beliefs later does not ask which of the two they are:
+There is one interface with two storages. `KnownStates` is for people whose task states are known: dense arrays, which
+change by `belief_update.update_readable`. `UncertainStates` is for people whose actions may be missed or confused: it
+adds a distribution over task states for each person whose state is uncertain. In both, the type is uncertain, and with
+it a goal that is unknown. `team.goal_knowledge` and live teams choose a storage when they begin. Who holds beliefs
+later does not ask which of the two they are:
 
 - `observe` updates them by a step of a simulation, `update` by actions that were seen as they are;
 - `answered` updates them by an answer, whose likelihood under each type is known;

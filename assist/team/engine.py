@@ -205,7 +205,7 @@ class Engine:
         now, them, policies = self.now, self.people, self.tasks.policies
         sent = self.robots.send(action, np.arange(len(self.clock)) if teams is None else teams, self.clock)
         # What is said is a robot action in the most probable state, what is heard the same one in the person's own.
-        said, executes, charged = self._say(sent)
+        said, executes = self._carry_out(sent)
         heard = self.beliefs.heard(
             said.reshape(-1), them.row.reshape(-1), [(policies[number].pomdp, flat) for number, flat in now.by_policy]
         ).reshape(said.shape)
@@ -217,6 +217,7 @@ class Engine:
         place, finished = them.place.reshape(-1), them.finished.reshape(-1)
         for number, flat in now.by_policy:
             group = groups[number]
+            # It moves `arrays.x`, that is `them.row`, and with it `beliefs.x` where states are known.
             group.act(flat, arrays)
             finished[flat] = group.ended(flat, arrays)
             place[flat] = policies[number].places(arrays.x[flat])
@@ -225,37 +226,36 @@ class Engine:
         self.beliefs.observe(acts, said.reshape(-1), models, self._uniform)
         own_theta = them.theta.copy()
         let_see(them, self.beliefs, acts, arrays.x, models, self._uniform)
-        cost, clock = arrays.cost.reshape(said.shape), self.clock.copy()
+        cost, clock, charged = arrays.cost.reshape(said.shape), self.clock.copy(), self._charged
         self.clock[now.running] += 1
         self._now, self._charged = None, np.zeros(said.shape)
         slot = arrays.slot.reshape(said.shape)
         return StepTaken(now, clock, sent, executes, before, heard, theta, slot, cost, -charged - cost, own_theta)
 
-    def _say(self, sent: Sent) -> tuple[Ints, Bools, Floats]:
-        """Return the robot action for each person, which robots execute an action, and the costs for each person.
+    def _carry_out(self, sent: Sent) -> tuple[Ints, Bools]:
+        """Return the robot action for each person and which robots execute an action, and charge for all of it.
 
-        Costs are those of moves, of waiting beside somebody at work, of suggestions and of executions, in the most
-        probable states. They are added to those of this step's questions. No two robots go to one person, which
-        `action_check` makes sure of.
+        Charged are moves, waiting beside somebody at work, suggestions and executions, in the most probable states,
+        after this step's questions. No two robots go to one person, which `action_check` makes sure of.
         """
         policies, groups, fleet = self.tasks.policies, self.tasks.groups, self.robots.fleet
-        said, charged, executes = np.zeros_like(self.people.place), self._charged, np.zeros(len(sent.team), dtype=bool)
+        said, executes = np.zeros_like(self.people.place), np.zeros(len(sent.team), dtype=bool)
         if fleet.extra[:, NOTHING_DONE].any() or not all(
             policies[n].pomdp.waits_for_free for n, _ in self.now.by_policy
         ):
             self._charge_waiting(sent)
         if not len(sent.team):
-            return said, executes, charged
+            return said, executes
         x, at = self.beliefs.x.reshape(said.shape), (sent.team, sent.person)
         said[at] = sent.action
-        charged[at] += sent.cost
+        self._charged[at] += sent.cost
         for number, those in by_model(self.tasks.model[at], np.flatnonzero(sent.action > 0), len(policies)):
             to, does, arrays = (sent.team[those], sent.person[those]), sent.action[those], groups[number].arrays
             executes[those] = arrays.suggested[x[to], does] == NOTHING
-            charged[to] += arrays.robot_costs[x[to], does]
+            self._charged[to] += arrays.robot_costs[x[to], does]
             if fleet.costs_differ:
-                charged[to] += fleet.extra_of(sent.robot[those], executes[those])
-        return said, executes, charged
+                self._charged[to] += fleet.extra_of(sent.robot[those], executes[those])
+        return said, executes
 
     def _charge_waiting(self, sent: Sent) -> None:
         """Charge for the robots that are with a person at work and do nothing, after these were sent."""

@@ -8,9 +8,9 @@ import numpy as np
 
 from ..people.hidden_type import Floats, HiddenType, Ints
 from ..person.beliefs import Beliefs
-from ..person.hidden_beliefs import Hidden
-from ..person.seen_beliefs import Seen
+from ..person.known_states import KnownStates
 from ..person.settings import Setting
+from ..person.uncertain_states import UncertainStates
 
 GoalKnowledge = Literal["inferred", "likeliest", "known"]
 
@@ -43,7 +43,7 @@ def acted_on(beliefs: Beliefs, hidden: HiddenType, knowledge: GoalKnowledge) -> 
     """
     if knowledge != "likeliest" or not len(beliefs.belief):
         return beliefs
-    return Seen(beliefs.x, hidden.given_likeliest(beliefs.belief), beliefs.erred, beliefs.neighbours)
+    return KnownStates(beliefs.x, hidden.given_likeliest(beliefs.belief), beliefs.erred, beliefs.neighbours)
 
 
 def known_at_first(row: Ints, belief: Floats | None, setting: Setting) -> Beliefs:
@@ -61,5 +61,5 @@ def known_at_first(row: Ints, belief: Floats | None, setting: Setting) -> Belief
     flat = np.empty((0, 1, 1)) if belief is None else belief.reshape(-1, *belief.shape[2:])
     erred = np.zeros(row.size, dtype=bool)
     if setting.observation is None:
-        return Seen(row.reshape(-1), flat, erred, setting.neighbourhood(row.shape[1]))
-    return Hidden(row.reshape(-1).copy(), flat, erred, setting.observation)
+        return KnownStates(row.reshape(-1), flat, erred, setting.neighbourhood(row.shape[1]))
+    return UncertainStates(row.reshape(-1).copy(), flat, erred, setting.observation)

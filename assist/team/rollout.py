@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from ..people.arguments import number, whole
 from ..people.decision import NOTHING, Floats
+from ..person.known_states import KnownStates
 from ..person.policy import Policy
 from ..person.robots import NOTHING_DONE
 from ..person.rows_of_people import by_model
-from ..person.seen_beliefs import Seen
 from ..person.ties import NEAR, first_best, ranked
 from ..person.time_expansion import AWAY, HERE
 from ..person.travel import Travel
@@ -268,7 +268,7 @@ class _Paths:
         robots = RobotsAtWork(team.fleet, team.travel, len(own))
         self.engine = Engine(
             TeamTasks(team.policies, models, model, mind), them, robots,
-            Seen(them.row.reshape(-1), known.belief, known.erred, known.neighbours.believed),
+            KnownStates(them.row.reshape(-1), known.belief, known.erred, known.neighbours.believed),
         )  # fmt: skip
         # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
         self.engine.clock[:], self._own_theta = team.step, them.theta.copy()

@@ -63,7 +63,8 @@ class TeamState:
     Attributes
     ----------
     step : int
-        Number of steps since the beginning of the episodes.
+        Number of steps since the beginning of the episodes; the largest one where teams began at different times, as in
+        vectorised environments.
     active : bool array, shape (N, K)
         Whether the person is present and has not finished.
     location : int array, shape (N, M), with M = 1 for one robot

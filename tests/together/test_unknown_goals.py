@@ -25,8 +25,8 @@ from assist.people import Choices, Goals, HumanModel, Population
 from assist.people.choice_model import boltzmann
 from assist.people.hidden_type import HiddenType
 from assist.person import AssistPOMDP, Setting, qmdp
+from assist.person.known_states import KnownStates
 from assist.person.robots import OfRobots
-from assist.person.seen_beliefs import Seen
 from assist.team import Pool, Schedule, simulate
 from assist.team.belief_trace import Watched
 from assist.team.questions import GoalQuestion, Questions, benefit
@@ -441,7 +441,7 @@ def test_an_answer_is_a_bayesian_update_and_worth_what_it_changes(error: float) 
         shares, found = one.reshape(3, -1).sum(axis=1), []
         for g in range(3):
             yes = (1 - error) * shares[g] + error * (1 - shares[g])
-            told = Seen(np.full(2, at), np.array([one, one]), np.zeros(2, dtype=bool))
+            told = KnownStates(np.full(2, at), np.array([one, one]), np.zeros(2, dtype=bool))
             for person, said in enumerate((True, False)):
                 told.answered(person, GoalQuestion(g, policy.pomdp.hidden, error).likelihood(said), policy)
             after = [reached(belief, at) for belief in told.belief]

@@ -19,11 +19,11 @@ from assist.people.decision import choice, influence, lapse, perceived_value, tr
 from assist.person import AssistPOMDP, JointBelief, ObservationModel, Setting, qmdp
 from assist.person.beliefs import PersonModel
 from assist.person.evidence import Evidence
-from assist.person.hidden_beliefs import Hidden
 from assist.person.joint_belief import expected_answers, said_in
+from assist.person.known_states import KnownStates
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.problem_arrays import Acts
-from assist.person.seen_beliefs import Seen
+from assist.person.uncertain_states import UncertainStates
 from assist.team import Episodes, Pool, simulate
 from assist.team.state import worth_of_actions
 
@@ -246,10 +246,10 @@ def test_an_action_that_is_seen_updates_a_belief_over_states_too() -> None:
     second = int(c.targets[first, slots[0]])
     joint = JointBelief(np.array([first, second]), np.stack([0.6 * pomdp.prior, 0.4 * pomdp.prior]))
     belief = np.repeat(pomdp.prior[None], 2, axis=0)
-    known = Hidden(np.array([first, first]), belief.copy(), np.zeros(2, dtype=bool), joints={1: joint})
+    known = UncertainStates(np.array([first, first]), belief.copy(), np.zeros(2, dtype=bool), joints={1: joint})
     acts = Acts(np.full(2, first), np.array([1, 1]), np.full(2, slots[1]), np.zeros(2, dtype=bool))
     known.update(np.arange(2), acts, PersonModel.of(policy))
-    alone = Seen(np.array([first, first]), belief.copy(), np.zeros(2, dtype=bool))
+    alone = KnownStates(np.array([first, first]), belief.copy(), np.zeros(2, dtype=bool))
     alone.update(np.arange(2), acts, PersonModel.of(policy))
     np.testing.assert_array_equal(known.belief[0], alone.belief[0])
     said, done = int(said_in(pomdp, np.array([first]))[0, 1]), int(c.actions[first, slots[1]])

@@ -19,12 +19,12 @@ from teams import equal, reachable, run, state
 from assist.people.choices import Choices
 from assist.people.user_code import UserCodeError
 from assist.person.fleet import Fleet
+from assist.person.known_states import KnownStates
 from assist.person.mdp_values import evaluate
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, qmdp
 from assist.person.robots import Robot
-from assist.person.seen_beliefs import Seen
 from assist.person.settings import Setting
 from assist.person.travel import Travel
 from assist.team.attention import AttentionSwitching
@@ -229,7 +229,7 @@ def random_state(pool: Pool, seed: int, robots: int, *, equally_far: bool, trave
     belief = rng.dirichlet(np.ones(prior.size), x.size).reshape(-1, *prior.shape)
     location = np.array([rng.choice([BASE, *range(PEOPLE)], robots, replace=False) for _ in range(TEAMS)])
     active = ~choices.goal[x] & (rng.random(x.shape) < 0.8)
-    known = Seen(x.ravel(), belief, rng.random(x.size) < 0.6)
+    known = KnownStates(x.ravel(), belief, rng.random(x.size) < 0.6)
     alike = Fleet.of((Robot(),) * robots)
     return TeamState(0, active, location, model, known, pool.policies, travel, fleet=alike)
 

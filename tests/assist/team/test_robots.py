@@ -35,9 +35,9 @@ from assist.people.ranges import Population
 from assist.people.user_code import UserCodeError
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.fleet import Fleet
+from assist.person.known_states import KnownStates
 from assist.person.qmdp import qmdp
 from assist.person.robots import Best, OfRobots, Robot
-from assist.person.seen_beliefs import Seen
 from assist.person.settings import Setting
 from assist.person.travel import Travel
 from assist.studies.protocol import read
@@ -360,7 +360,7 @@ def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndar
 def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray]) -> None:
     travel, location, free, worth = found
     nobody = np.zeros((1, 3), dtype=np.int64)
-    known = Seen(nobody[0], np.empty((0, 1, 1)), nobody[0] > 0)
+    known = KnownStates(nobody[0], np.empty((0, 1, 1)), nobody[0] > 0)
     team = TeamState(
         0, nobody == 0, location, nobody, known, [], travel, free=free, fleet=Fleet.of((Robot(),) * worth.shape[1])
     )

@@ -21,13 +21,13 @@ from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.person.beliefs import PersonModel
 from assist.person.dynamics import act
+from assist.person.known_states import KnownStates
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.people_arrays import Minds, PeopleArrays
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import Acts
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
-from assist.person.seen_beliefs import Seen
 from assist.person.settings import Setting
 from assist.person.travel import Travel
 from assist.team.attention import AttentionSwitching
@@ -251,7 +251,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
                 np.full(n, x), np.full(n, robot), np.zeros(n, dtype=np.int64), np.full(n, theta),
                 np.zeros(n, dtype=np.int64), rng.random((n, 2)), np.zeros(n, dtype=np.int64), np.zeros(n),
             )  # fmt: skip
-            known = Seen(people.x, np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=bool))
+            known = KnownStates(people.x, np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=bool))
             modelled = PersonModel.of(LazyPolicy(pomdp, qmdp))
             alone = choice(model.q, tiny_choices.applicable, np.full(len(tiny_choices), beta))
             minds = Minds.of_model(pomdp)._replace(

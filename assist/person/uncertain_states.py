@@ -1,7 +1,7 @@
 """What a robot knows of people whose actions may be missed or confused: the second storage of `beliefs`.
 
-`Hidden` keeps, for each person whose task state is uncertain, a belief over states and types together (`joint_belief`).
-A `Glimpse` is what was seen of an action.
+`UncertainStates` keeps, for each person whose task state is uncertain, a belief over states and types together
+(`joint_belief`). A `Glimpse` is what was seen of an action.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from ..people.decision import Bools, Floats, Ints
 from .beliefs import Ask, Groups, PersonModel
 from .evidence import Evidence
 from .joint_belief import LEAST, JointBelief, expected_answers, said_in, same_suggestions
+from .known_states import KnownStates
 from .observation_model import ObservationModel
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import Acts
 from .random_kinds import Kind
-from .seen_beliefs import Seen
 
 
-class Hidden(Seen):
+class UncertainStates(KnownStates):
     """Beliefs in people whose actions may be missed or confused, so that their task states may be uncertain.
 
     The arrays have the most probable state of each person and the belief in their type over all states.
@@ -33,7 +33,7 @@ class Hidden(Seen):
     Parameters
     ----------
     x, belief, erred
-        As in `Seen`.
+        As in `KnownStates`.
     sight : ObservationModel, optional
         How reliably `observe` sees actions; all of them as they are, by default.
     joints : dict of int to JointBelief

@@ -22,7 +22,7 @@ from .pomdp import AssistPOMDP
 from .problem_arrays import Acts
 
 
-class Seen:
+class KnownStates:
     """Beliefs in people whose task states are known.
 
     Parameters
