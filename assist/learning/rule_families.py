@@ -58,7 +58,13 @@ class RuleFamily:
 
 
 def families(method: Method) -> dict[str, RuleFamily]:
-    """Return the shipped rules by name, without what the method knows of their parameters."""
+    """Return the shipped rules by name, without what the method knows of their parameters.
+
+    Parameters
+    ----------
+    method : Method
+        Its `eta` and `utility_scale` are not estimated where they are known.
+    """
     found = {}
     for name, make in RULES.items():
         known = {one: getattr(method, one) for one in KNOWN if one in fields_of(name)}

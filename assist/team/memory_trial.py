@@ -37,6 +37,9 @@ def _same(one: Any, other: Any) -> bool:
     """Return whether robots go to the same people and do the same there; a simulation tells what is no choice."""
     if not (isinstance(one, TeamAction) and isinstance(other, TeamAction)):
         return True
+    arrays: list[Any] = [one.person, one.action, other.person, other.action]
+    if not all(isinstance(array, np.ndarray) and array.shape == np.shape(one.person) for array in arrays):
+        return True
     goes = one.person >= 0
     return np.array_equal(one.person, other.person) and np.array_equal(one.action[goes], other.action[goes])
 

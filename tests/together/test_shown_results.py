@@ -112,9 +112,10 @@ def test_what_was_learned_is_a_result_too(learned: dict[str, Any], name: str) ->
 def test_a_bound_and_a_certificate_say_what_they_prove(results: dict[str, Any]) -> None:
     bound, none = results["bound"], results["certificate"]
     proves = f"upper bound {bound.upper:.3f} on the value of every policy"
-    assert repr(bound) == f"<{proves} for 2 people, with free attention>"
+    assert repr(bound) == f"<{proves} for 2 people drawn from the robot's prior, with free attention>"
     assert repr(none).startswith(
-        f"<none: value {none.value:.3f} ± {none.value_stderr:.3f} over 10 episodes, gap at most "
+        f"<none: value {none.value:.3f} ± {none.value_stderr:.3f} over 10 episodes "
+        "with people drawn from the robot's prior, gap at most "
     )
 
 

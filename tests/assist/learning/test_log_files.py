@@ -457,7 +457,12 @@ def test_columns_are_named_on_the_command_line(tmp_path: Path) -> None:
     )
     assert json.loads(first.stdout)[0]["suggestions"] == 1
     assert (second.exit_code, second.stdout) == (first.exit_code, first.stdout)
-    assert second.stderr == first.stderr.replace("plain", "named")
+    # First estimates are shown only where something is compiled.
+    notes = [
+        "".join(line for line in one.stderr.splitlines(True) if not line.startswith("first, "))
+        for one in (first, second)
+    ]
+    assert notes[1] == notes[0].replace("plain", "named")
     noted = tmp_path / "noted.csv"
     noted.write_text(HEAD + ROWS.replace(",\n", ",NA\n"))
     found = invoke("fit", "kitting/tiny", noted, "--jobs", 1, "--json")

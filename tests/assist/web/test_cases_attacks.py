@@ -203,7 +203,9 @@ def test_two_devices_of_one_link_are_one_participant_and_a_replay_is_none(web: W
     assert acted == acted[:1] * 3
     assert web.ask("GET", f"/api/people/{ann}", ann).json()["steps"] == 1
     other = web.ask("POST", path, ann, json={"action": "(return box-a)", "id": "1"})  # another request by that id
-    assert other.json() == acted[0]
+    assert other.status_code == 409
+    assert "the id '1' belongs to another event" in other.json()["detail"]
+    assert web.ask("GET", f"/api/people/{ann}", ann).json()["steps"] == 1
     assert web.ask("GET", "/api/study").json()["taken"] == 1
 
 
