@@ -71,7 +71,7 @@ class ThetaReach:
                 "a method envelope(theta, gain, weight)"
             )
         for one in events:
-            if any((np.diff(end) < -1e-12).any() for end in within(grid.theta, *one)):
+            if any((np.diff(end) < -1e-12).any() for end in within(grid.values, *one)):
                 raise ValueError(
                     f"neighbours: the envelope of {type(rule).__name__} falls somewhere as theta rises; a bound "
                     "expects a least and a largest theta after an event that rise with theta"

@@ -17,6 +17,7 @@ from assist.people.choices import Choices
 from assist.people.goals import Goals
 from assist.people.neighbours import Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
 from assist.people.ranges import Population
+from assist.people.trust_rules import Reliability
 from assist.person import truncated_bound
 from assist.person.settings import Setting
 from assist.team.pool import Pool
@@ -169,6 +170,14 @@ def test_refusals(tiny: Table) -> None:
         upper_bound(pool_of(tiny, Boundless()), [0, 1], time_limit=3)
     with pytest.raises(ValueError, match="paths 4: expected 0, as sample paths do not have what people see"):
         upper_bound(pool_of(tiny, SeenFollowed()), [0, 1], time_limit=3, paths=4)
+
+
+def test_a_bound_holds_for_a_rule_that_counts_outcomes(tiny: Table) -> None:
+    """The grid of theta repeats for each count, where it falls from 1 to 0."""
+    trust = Reliability(weight=3.0, counts=2)
+    bound = upper_bound(pool_of(tiny, SeenFollowed(), trust=trust), [0, 1], window=0)
+    value = bound.certify("attention", episodes=100)
+    assert value.value - 4 * value.value_stderr <= bound.proven
 
 
 @pytest.mark.parametrize("rule", thinned(RULES))
