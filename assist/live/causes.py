@@ -47,6 +47,7 @@ CAUSES = (
         lambda point, k: {"question": point.asked(k)},
     ),
     Cause("waiting", "everybody at work has a suggestion", lambda point, k: k is None and not point.free.any()),
+    Cause("dead-end", "the goal cannot be reached from here", lambda point, k: point.lost(k)),
     Cause(
         "mistake-elsewhere", 'the policy "reactive" helps after mistakes, and the robot is with another person',
         lambda point, k: point.rule == "reactive" and k is not None and bool(point.beliefs.erred[k]),

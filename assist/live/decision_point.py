@@ -228,6 +228,15 @@ class DecisionPoint:
             return self.questions.get(place)
         return None if self.free.any() else next((one for k, one in self.questions.items() if self.working[k]), None)
 
+    def lost(self, place: int | None) -> bool:
+        """Return whether a person, or everybody who could get a suggestion, certainly is in a dead end."""
+        if place is None:
+            return all(self.lost(k) for k in np.flatnonzero(self.free).tolist())
+        _, policy, _ = self._at(place)
+        joint = self.beliefs.joint(place, policy)
+        share = policy.pomdp.hidden.marginal(joint.joint, "goal")
+        return bool(np.isinf(policy.pomdp.model.choices.goals.h[:, joint.rows(policy)].T[share > 0]).all())
+
     def best(self, place: int | None) -> Prospect | None:
         """Return the best suggestion to a person, or to anybody; None if there is none."""
         if place is not None:

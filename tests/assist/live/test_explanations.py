@@ -272,6 +272,27 @@ def test_an_action_that_cannot_be_done_is_one_clear_error(step: str, alternative
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.cases
+@pytest.mark.parametrize("policy", ["attention", "reactive"])
+def test_a_dead_end_is_named(policy: str) -> None:
+    """A person is told that the goal cannot be reached any more, and an operator when this is so of everybody."""
+    team = Assistant(table("stations/one-way"), ["ann", "ben"], policy=policy, setting=SETTING)
+    for person in ("ann", "ben"):
+        team.observe(person, "(walk bench-1 bench-2)")
+        assert math.isinf(team.person(person).cost_to_go)
+        said = team.explain(person)
+        assert said.nothing is not None
+        assert said.nothing.reason == "dead-end"
+        assert said.text() == "From here the goal can no longer be reached: undo the last step, or ask the operator."
+        assert said.text("de").startswith("Von hier ist das Ziel nicht mehr zu erreichen: ")
+        whole = team.explain().nothing
+        assert whole is not None
+        assert (whole.reason == "dead-end") == (person == "ben")
+    team.undo("ben")
+    again = team.explain("ben").nothing
+    assert again is None or again.reason != "dead-end"
+
+
 def test_there_is_nothing_to_compare_in_a_dead_end() -> None:
     known = table("kitting/sealed")
     dead = np.flatnonzero(np.isinf(known.h))
