@@ -31,13 +31,16 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
+
+from planner.pddl.reader import Domain
+from planner.system.errors import expected
 
 from ..declare.catalogue import FIRST, TAG, Catalogue, catalogue, languages
 from ..declare.declared import Count, Expected, Text, Truth, declared
@@ -254,6 +257,8 @@ def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profil
     with located(file):
         content = convert(load(file), ProfileFile, file)
         arities = {fact[0]: len(fact) - 1 for fact in (*subject.constant, *subject.changing)}
+        if subject.domain is not None:
+            _require_known(file, content, subject, subject.domain)
         rules = {
             table: {
                 predicate: _rule(file, table, predicate, text, content.things, arities)
@@ -271,6 +276,42 @@ def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profil
             links=rules["links"], colours=rules["colours"],
         )  # fmt: skip
         return _translated(file, content.texts, profile, texts or catalogue(), content.language)
+
+
+def _require_known(file: Path, content: ProfileFile, subject: Subject, domain: Domain) -> None:
+    """Check that what a file names is in the domain, or in the file itself."""
+    for place, what, name, known in _named(content, subject, domain):
+        if name not in known:
+            right = expected(name, known) if known else "there is none"
+            raise fault(file, place, f"there is no {what} '{name}'; {right}")
+
+
+def _named(content: ProfileFile, subject: Subject, domain: Domain) -> Iterator[tuple[str, str, str, Collection[str]]]:
+    """Yield each name that a file refers to: its place, what it names, the name, and those that there are."""
+    facts = (*domain.predicates, *domain.functions)
+    parts = {part for look in content.types.values() for part, _ in _names(look.parts)}
+    for table, pattern in PATTERNS.items():
+        for predicate, text in getattr(content, table).items():
+            yield f"{table}.{predicate}", "predicate", predicate, facts
+            found = re.fullmatch(pattern, text)
+            part = None if found is None else found.groupdict().get("part")
+            if part is not None:
+                within = ("part", parts) if table == "places" else ("function", domain.functions)
+                yield f"{table}.{predicate}", within[0], part, within[1]
+    alone = [name for name, one in domain.predicates.items() if len(one.parameters) == 1]
+    for kind, look in content.types.items():
+        if not look.of:
+            yield f"types.{kind}", "type", kind, (*domain.types.parents, *alone)
+        for one in look.of:
+            yield f"types.{kind}.of", "predicate", one.partition(" ")[0], domain.predicates
+        if look.inside is not None:
+            yield f"types.{kind}.in", "thing", look.inside, content.things
+    for number, predicate in enumerate(content.hide.predicates, start=1):
+        yield f"hide.predicates[{number}]", "predicate", predicate, facts
+    for action, text in content.words.items():
+        yield f"words.{action}", "action", action, subject.parameters
+        for parameter in _arguments(text):
+            yield f"words.{action}", "parameter", parameter, subject.parameters[action]
 
 
 def _rule(

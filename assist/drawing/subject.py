@@ -19,7 +19,7 @@ from planner import Task, task_of
 from planner.grounding.semantics import derived, successors
 from planner.pddl.instances import Expression, PDDLError
 from planner.pddl.numeric_expressions import as_shown
-from planner.pddl.reader import Rule, read
+from planner.pddl.reader import Domain, Rule, read
 
 from ..people.action_names import Matcher, words_of
 from ..people.choices import STAND_STILL
@@ -77,6 +77,8 @@ class Subject:
     numbers : dict of Atom to str
         The values of functions in the initial state, as they are shown.
     goal : tuple of Wanted
+    domain : Domain or None
+        The domain's names, if its file is present and unchanged.
     """
 
     task: Task
@@ -87,6 +89,7 @@ class Subject:
     changing: frozenset[Atom]
     numbers: dict[Atom, str]
     goal: tuple[Wanted, ...]
+    domain: Domain | None = None
 
     @classmethod
     def of(cls, task: AnyTask) -> Subject:
@@ -118,6 +121,7 @@ class Subject:
             changing=frozenset(changing),
             numbers={of: as_shown(value) for of, value in reading.problem.values.items()},
             goal=_goal(reading.problem.goal, task),
+            domain=reading.domain,
         )
 
     @property

@@ -327,6 +327,29 @@ def test_a_wrong_drawing_toml_is_said_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "a.svg").exists()
 
 
+@pytest.mark.cases
+def test_names_that_the_domain_does_not_have_are_told(tmp_path: Path) -> None:
+    """What is misspelt would be left out of pictures without a word."""
+    for file in ("domain.pddl", "tiny.pddl"):
+        shutil.copy(KITTING / file, tmp_path)
+    subject = Subject.of(load(tmp_path / "tiny.pddl"))
+    for text, words in {
+        "[words]\nfetsh = 'Fetch ?c'": ":2: words.fetsh: there is no action 'fetsh'; did you mean 'fetch'?",
+        "[words]\nplace = 'Put ?x away'": "words.place: there is no parameter '?x'; expected one of ?i, ?s, ?c",
+        "[marks]\nslot-fre = '?1 free'": ":2: marks.slot-fre: there is no predicate 'slot-fre'; did you mean",
+        "[places]\nin-slto = '?1 in ?2'": "places.in-slto: there is no predicate 'in-slto'; did you mean 'in-slot'?",
+        "[places]\nin-slot = '?1 in ?2.tray'": "there is no part 'tray'; there is none",
+        "[marks]\nfits = '?1 fits, sise'": "marks.fits: there is no function 'sise'; ",
+        "[types]\nitme = {shape = 'chip'}": "types.itme: there is no type 'itme'; did you mean 'item'?",
+        "[types]\nall = {of = 'fit ?1'}": "types.all.of: there is no predicate 'fit'; did you mean 'fits'?",
+        "[types]\nslot = {in = 'kti'}\n[things]\nkit = {}": "types.slot.in: there is no thing 'kti'; did you mean",
+        "[hide]\npredicates = ['fits', 'slot-fre']": "hide.predicates[2]: there is no predicate 'slot-fre'; ",
+    }.items():
+        (tmp_path / "drawing.toml").write_text(text)
+        with pytest.raises(InputFileError, match=re.escape(words)):
+            Profile.of(subject)
+
+
 PLAN = [
     "(fetch box-a)", "(place hammer slot-1 box-a)", "(return box-a)", "(fetch box-b)", "(place wrench slot-2 box-b)",
     "(return box-b)",
