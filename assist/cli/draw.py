@@ -99,8 +99,11 @@ def draw(
     try:
         artist = Artist(planner.load(found), goal=goals is None)
         if plan:
-            lines = (line.partition(";")[0].strip() for line in plan.read_text(encoding="utf-8").splitlines())
+            text = plan.read_text(encoding="utf-8")
+            lines = (line.partition(";")[0].strip() for line in text.splitlines())
             with _told(plan):
+                if not text.strip():
+                    raise ValueError("the file is empty; expected one action per line")
                 rows = plan_frames(artist, [line for line in lines if line and line != "SequentialPlan:"])
         elif log:
             records = list(each_record(log))

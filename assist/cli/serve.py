@@ -13,11 +13,12 @@ from planner.system.errors import InputFileError
 
 from .options.bridges import bridge_of
 from .options.common import INPUT_FILE
-from .options.config import config_option, configurable
+from .options.config import config_option, configurable, variables_that_set_nothing
 from .options.help import command
 from .options.listening import Listening, listening_options, live_server
 from .options.live import LiveOptions, changed_settings, live_options, plan_of
 from .options.policies import policy_errors
+from .options.settings import ServeSetting
 from .terminal.console import note, usage_errors
 from .user_study import conduct
 
@@ -52,6 +53,8 @@ def serve(
     from ..web.log_lines import write_log
 
     write_log("json" if log_format == "json" else "text")
+    for sentence in variables_that_set_nothing(click.get_current_context().command, ServeSetting):
+        note(sentence)
     if study is not None:
         conduct(study, team.data, team.given, at, rehearse or 0)
         return

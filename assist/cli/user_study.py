@@ -52,6 +52,7 @@ def conduct(file: Path, data: Path | None, given: Given[Any], at: Listening, reh
         raise click.UsageError(f"{source} cannot be combined with --study; the study's file sets it")
     try:
         from ..people.user_code import UserCodeError
+        from ..studies.reports.preregistration import changed
         from ..studies.userstudy.export import REGISTERED
         from ..studies.userstudy.forecast import Forecast
         from ..studies.userstudy.plan_file import read
@@ -74,6 +75,8 @@ def conduct(file: Path, data: Path | None, given: Given[Any], at: Listening, reh
         raise click.UsageError(f"--data {folder}: a study is registered there; expected another folder for a rehearsal")
     if not rehearse and (folder / REHEARSED).exists():
         raise click.UsageError(f"--data {folder}: has a rehearsal; expected another folder for the study itself")
+    if (deviates := changed(study, folder)) is not None:
+        note(deviates)
     tasks = _tasks(study)
 
     def ready(service: StudyService) -> None:

@@ -303,7 +303,7 @@ def gathered(kind: type[T], parameters: dict[str, Any], environment: str | None 
             raise click.UsageError(str(error)) from None
     if environment is not None:
         for place in places(kind):
-            variable = environment + "_".join(place).upper()
+            variable = variable_of(environment, place)
             if (text := os.environ.get(variable)) is not None:
                 given.put(place, value_of(text, _kind_at(kind, place)), variable)
     written: set[str] = set()
@@ -336,6 +336,11 @@ def _of_setting(file: Path, kind: Any, command: click.Command) -> dict[str, Any]
         with tables.located(file):
             raise tables.fault(file, meant_for_config[0], "unknown; this is a file for --config")
     return content
+
+
+def variable_of(environment: str, place: tuple[str, ...]) -> str:
+    """Return the environment variable that sets the field at a place, given the prefix of all."""
+    return environment + "_".join(place).upper()
 
 
 def places(kind: Any) -> Iterator[tuple[str, ...]]:

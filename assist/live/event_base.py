@@ -96,6 +96,12 @@ class Event(Recorded):
         return found
 
     @property
+    def view(self) -> int | None:
+        """The number of the view on which it was done, if that is reported."""
+        found: int | None = getattr(self, "seq", None)
+        return found
+
+    @property
     def reporter(self) -> str:
         """Whose ids its id is one of: those of reports of its person, of a robot, or, if empty, of the team."""
         return self.who or ""

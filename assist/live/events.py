@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field
 
+from planner.system.errors import expected
+
 from ..declare.declared import Expected, Number, Truth, Whole
 from ..declare.refusals import InapplicableError, Refusal
 from ..people.action_names import in_pddl
@@ -205,7 +207,8 @@ class Undone(OfPerson):
             kind = kinds(OfPerson).get(self.of)
             if kind is not None and kind.nothing is not None:
                 raise InapplicableError(kind.nothing, person=self.person)
-            raise InapplicableError("other", why=f"{self.person} has done nothing of the kind {self.of[:40]!r}")
+            known = [name for name, one in kinds(OfPerson).items() if one.nothing is not None]
+            raise Refusal("other", why=f"of {self.of!r}: {expected(self.of, known)}")
         taken = done[place].take_back(desk)
         del done[place]
         return taken

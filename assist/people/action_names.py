@@ -14,6 +14,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.system.errors import nearest
+
 from ..declare.refusals import Refusal
 from .choices import STAND_STILL
 
@@ -97,8 +99,14 @@ class Matcher:
         if words and slots:
             several = ", ".join(self.actions[options[slot]] for slot in slots)
             raise unmatched(f"{_shown(words)} may be any of {several}")
-        why = self.unknown(words) or f"{_shown(words)} is not applicable here"
-        raise unmatched(f"{why}; {self._nearest(words, options)}")
+        near = self._nearest(words, options)
+        why = self.unknown(words)
+        if why is None:
+            raise unmatched(f"{_shown(words)} is not applicable here; nearest in spelling {near}")
+        meant = self._meant(words)
+        if meant is not None and all(self.words[option][: len(meant)] != meant for option in options):
+            near = f"of all actions: {_shown(meant)}; {near}"
+        raise unmatched(f"{why}; nearest in spelling {near}")
 
     def unknown(self, words: Words) -> str | None:
         """Return why words match no action of the task in any state; None if they may match one."""
@@ -113,11 +121,18 @@ class Matcher:
         )
         return f"{_shown(words)} is no action of the task{why}"
 
+    def _meant(self, words: Words) -> Words | None:
+        """Return the words of an action of the task that are the most similar ones; None if there is none."""
+        names = {words[0] for words in self.words}
+        near = [nearest(word, self.objects if place else names) for place, word in enumerate(words)]
+        found = tuple(word for word in near if word is not None)
+        return found if len(found) == len(words) and found in self.beginnings else None
+
     def _nearest(self, words: Words, options: NDArray[np.int32]) -> str:
         """Return up to three applicable actions of similar spelling."""
         applicable = [self.actions[option] for option in options]
         near = difflib.get_close_matches(_shown(words), applicable, n=3, cutoff=0.5) or applicable[:3]
-        return f"nearest in spelling of the {len(applicable)} applicable: {', '.join(near)}"
+        return f"of the {len(applicable)} applicable: {', '.join(near)}"
 
 
 def _shown(words: Words) -> str:

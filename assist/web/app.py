@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
-from fastapi import APIRouter, FastAPI, Request, Response
+from fastapi import APIRouter, Depends, FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException as StarletteHTTPException
@@ -23,6 +23,7 @@ from ..declare.catalogue import catalogue
 from ..declare.refusals import Refusal
 from ..live.store import JournalError
 from . import event_routes, metrics, page_routes, routes, streams
+from .authorization import known_query
 from .request_limits import Allowance, Guard, Networks
 from .service import Service
 from .task_drawings import Pictures
@@ -57,7 +58,7 @@ def make_app(
     app = FastAPI(
         title="kitassist", summary="The live assistant: whom to help, when, and with which suggestion.",
         version="1", lifespan=lifespan, docs_url=None, redoc_url=None, redirect_slashes=not service.access.root,
-        servers=[{"url": service.access.root}] if service.access.root else None,
+        dependencies=[Depends(known_query)], servers=[{"url": service.access.root}] if service.access.root else None,
     )  # fmt: skip
     app.state.service, app.state.pictures = service, Pictures(str(service.texts.file))
     service.measures.registry.register(metrics.Present(service))
@@ -89,6 +90,10 @@ def _says_what_is_wrong(app: FastAPI) -> None:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"] if part != "body")
         whole = first["type"] == event_routes.SAID
+        kind = request.headers.get("content-type", "")
+        if first["loc"] == ("body",) and not whole and "json" not in kind and await request.body():
+            found = f"Content-Type: {kind[:80]}" if kind else "the header Content-Type is missing"
+            return says(request, 422, why=f"{found}; expected Content-Type: application/json")
         return says(request, 422, why=first["msg"] if whole else f"{where or 'request body'}: {first['msg']}")
 
     @app.exception_handler(Refusal)

@@ -9,7 +9,10 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
+from fastapi.routing import APIRoute
 from fastapi.security import HTTPBearer
+
+from planner.system.errors import expected
 
 from ..declare.refusals import Refusal
 from ..live.names import name_of
@@ -52,6 +55,17 @@ async def own(request: Request, person: str, _: Annotated[Any, Depends(bearer)] 
     service.view(person)
     service.heard(caller.person)
     return person
+
+
+async def known_query(request: Request) -> None:
+    """Refuse parameters in the address of a request that it does not have. Those of pages are read by their scripts."""
+    route = request.scope.get("route")
+    if isinstance(route, APIRoute) and route.include_in_schema:
+        known = [field.alias for field in route.dependant.query_params]  # of the requests, not of what they depend on
+        for name in request.query_params:
+            if name not in known:
+                right = expected(name, known) if known else "expected none"
+                raise Refusal("other", why=f"parameter {name[:80]!r} of the address: unknown; {right}")
 
 
 async def service_of(request: Request) -> Service:

@@ -382,7 +382,7 @@ class Service:
 
     def problems(self) -> list[str]:
         """Return everything that keeps events from being stored or delivered, for the operator."""
-        return [*self.unready(), *chain(*(bridge.waits for bridge in self.bridges.values()))]
+        return [*self.unready(), *chain(*(_waits(name, bridge) for name, bridge in self.bridges.items()))]
 
     def faults(self) -> list[str]:
         """Return what keeps people's actions from being saved, in the language of the pages; empty if nothing does."""
@@ -391,15 +391,22 @@ class Service:
 
     async def _check(self) -> None:
         """Tell people and operators when what keeps the service from its work has changed."""
-        before = self.problems(), self.faults()
+        before: tuple[list[str], list[str]] | None = None
+        failed = False
         while True:
+            try:
+                now = self.problems(), self.faults()
+            except Exception:
+                if not failed:
+                    logging.getLogger(__name__).exception("it is not known what keeps the service from its work")
+                failed = True
+            else:
+                if before not in (None, now):
+                    self._tell_operators()
+                    for watcher in chain(*self._watchers.values()):
+                        watcher.tell("faults", streamed("faults", _json(now[1])))
+                before, failed = now, False
             await asyncio.sleep(self._every)
-            now = self.problems(), self.faults()
-            if now != before:
-                self._tell_operators()
-                for watcher in chain(*self._watchers.values()):
-                    watcher.tell("faults", streamed("faults", _json(now[1])))
-            before = now
 
     # Watching.
 
@@ -523,6 +530,14 @@ class Service:
                 of_page = {"connected": person in self._watchers, "join": self.access.join_url(person)}
                 found[person] = _json({"simulated": person in self.simulated} | entry | of_page)
         return found
+
+
+def _waits(name: str, bridge: Bridge) -> Sequence[str]:
+    """Return what keeps a bridge from delivering reports, or that this is not known."""
+    try:
+        return bridge.waits
+    except Exception as error:  # noqa: BLE001  the service goes on without it
+        return [f"{name}: it is not known what it waits for: {error or type(error).__name__}"]
 
 
 def _changed(person: str, view: bytes | None) -> bytes:

@@ -9,16 +9,22 @@ from pathlib import Path
 from typing import Any
 
 
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the most similar known name; None if none is similar."""
+    lower = {word.lower(): word for word in known}
+    near = difflib.get_close_matches(name.lower(), lower, n=1)
+    return lower[near[0]] if near else None
+
+
 def expected(name: str, known: Iterable[str], more: str = "") -> str:
     """Return the hint of a message about an unknown name: the most similar known name, or else all of them.
 
     The list of known names ends with `more`.
     """
     words = list(known)
-    lower = {word.lower(): word for word in words}
-    near = difflib.get_close_matches(name.lower(), lower, n=1)
-    if near:
-        return f"did you mean '{lower[near[0]]}'?"
+    near = nearest(name, words)
+    if near is not None:
+        return f"did you mean '{near}'?"
     return f"expected one of {', '.join(words)}{more}"
 
 

@@ -7,7 +7,8 @@ variables, such as KITASSIST_C_SUGGEST, override the file; options on the comman
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
 from glob import glob
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,9 +16,10 @@ from typing import Annotated, Any, Literal
 import click
 from click.core import ParameterSource
 
-from planner.system.errors import InputFileError
+from planner.system import progress
+from planner.system.errors import InputFileError, nearest
 
-from ...declare.options import FieldOption
+from ...declare.options import FieldOption, places, variable_of
 from ...people.user_code import function_beside
 from .common import INPUT_FILE, Option
 
@@ -34,6 +36,27 @@ def configurable(command: click.Command) -> click.Command:
         if not isinstance(option, FieldOption):  # the setting reads its own
             option.envvar = ENVIRONMENT + _name(option).upper()
     return command
+
+
+def variables_that_set_nothing(command: click.Command, kind: type[Any]) -> Iterator[str]:
+    """Yield a sentence for each environment variable that looks like one of a command's and sets nothing.
+
+    Parameters
+    ----------
+    command : click.Command
+    kind : type
+        The class of its setting.
+    """
+    from ...connect.bridges import mqtt_settings, opcua_settings
+
+    options = {str(one.envvar) for one in command.params if not isinstance(one, FieldOption)}
+    fields = {variable_of(ENVIRONMENT, place) for place in places(kind)}
+    known = sorted({*options, *fields, *mqtt_settings.VARIABLES, opcua_settings.PASSWORD, progress.UNSHOWN})
+    for name in sorted(os.environ):
+        if name.startswith(ENVIRONMENT) and name not in known:
+            near = nearest(name.removeprefix(ENVIRONMENT), [one.removeprefix(ENVIRONMENT) for one in known])
+            meant = "" if near is None else f"; did you mean {ENVIRONMENT}{near}?"
+            yield f"{name} in the environment sets nothing{meant}"
 
 
 def config_option() -> Option[Any]:

@@ -25,7 +25,8 @@ from .messages import (
 )
 
 ENVIRONMENT = "KITASSIST_MQTT_"
-"""Prefix of the environment variables PASSWORD, CA, CERTIFICATE and KEY."""
+VARIABLES = tuple(f"{ENVIRONMENT}{name}" for name in ("PASSWORD", "CA", "CERTIFICATE", "KEY"))
+"""Environment variables that set the password, and files of certificates."""
 
 ADVICE = "person", "suggestion", "finished", "seq"
 VIEW = {*names_of(PersonView)}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 from planner.system.errors import InputFileError
 from planner.system.files import atomic
 
+from ...declare.catalogue import catalogue
 from ..userstudy.export import REGISTERED
 from ..userstudy.plan import UserStudy
 from ..userstudy.plan_file import first_difference
@@ -100,15 +102,34 @@ def compared(study: UserStudy, tables: Tables, folder: Path) -> dict[str, Any] |
     if not file.exists():
         return None
     record = _recorded(file)
-    at, digest, analysis = datetime.fromisoformat(record["registered"]), record["study"], record["analysis"]
-    deviations, phrase = [], study.catalogue.phrase
+    at, phrase = datetime.fromisoformat(record["registered"]), study.catalogue.phrase
+    deviations = _changes(study, record, phrase)
     first = min((row["arrived"] for row in tables.participants if row["arrived"] is not None), default=None)
     if first is not None and datetime.fromisoformat(first) < at:
-        deviations.append(phrase("report.registered_late"))
-    if digest != hashlib.sha256(study.file.read_bytes()).hexdigest():
-        found = first_difference(record["text"], study.file.read_text(encoding="utf-8"))
-        deviations.append(phrase("report.file_changed", **found))
-    changed = [name for name, own in analysis_digests().items() if analysis.get(name) != own]
-    if changed:
-        deviations.append(phrase("report.analysis_changed", files=", ".join(changed)))
+        deviations.insert(0, phrase("report.registered_late"))
     return {"registered": record["registered"], "deviations": deviations}
+
+
+def changed(study: UserStudy, folder: Path) -> str | None:
+    """Return in a sentence how a study differs from its registration in a folder; None if it does not, or is not there.
+
+    Raises
+    ------
+    InputFileError
+        The file is no registration.
+    """
+    file = folder / REGISTERED
+    found = _changes(study, _recorded(file), catalogue().phrase) if file.exists() else []
+    return f"{file}: since the registration, {' and '.join(found)}; the report will say so" if found else None
+
+
+def _changes(study: UserStudy, record: Mapping[str, Any], phrase: Callable[..., str]) -> list[str]:
+    """Return what has changed since a registration: the study's file, and the code of the analysis."""
+    found = []
+    if record["study"] != hashlib.sha256(study.file.read_bytes()).hexdigest():
+        difference = first_difference(record["text"], study.file.read_text(encoding="utf-8"))
+        found.append(phrase("report.file_changed", **difference))
+    files = [name for name, own in analysis_digests().items() if record["analysis"].get(name) != own]
+    if files:
+        found.append(phrase("report.analysis_changed", files=", ".join(files)))
+    return found

@@ -131,6 +131,22 @@ def test_a_faulty_configuration_is_refused_with_its_place(
     assert said in " ".join(found.stderr.split())
 
 
+@pytest.mark.cases
+def test_variables_that_set_nothing_are_told(tmp_path: Path) -> None:
+    """One that a host sets may begin so, too, and stops nothing."""
+    environment = {
+        "KITASSIST_C_SUGEST": "2", "KITASSIST_XYZZYPLUGH": "10.0.0.1", "KITASSIST_C_MOVE": "1",
+        "KITASSIST_POPULATION_BETA": "[0, 1]", "KITASSIST_MQTT_PASSWORD": "secret", "KITASSIST_PROGRESS": "0",
+        "KITASSIST_DATA": str(tmp_path / "there"),
+    }  # fmt: skip
+    found = CliRunner().invoke(main, ["serve", "--humans", "1"], env=environment)
+    told = [line for line in found.stderr.splitlines() if "sets nothing" in line]
+    assert told == [
+        "KITASSIST_C_SUGEST in the environment sets nothing; did you mean KITASSIST_C_SUGGEST?",
+        "KITASSIST_XYZZYPLUGH in the environment sets nothing",
+    ]
+
+
 def test_a_service_runs_from_one_file_and_follows_its_changes(tmp_path: Path) -> None:
     shutil.copy(TINY, tmp_path / "own.pddl")
     shutil.copy(TINY.parent / "domain.pddl", tmp_path / "domain.pddl")

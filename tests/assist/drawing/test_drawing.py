@@ -455,6 +455,7 @@ def test_draw_writes_every_format(tmp_path: Path) -> None:
             1,
             "bad.plan: step 0: (place hammer slot-1 box-a) is not applicable here; nearest in spelling of the 2",
         ),
+        (["--out", "a.svg", "--plan", "empty.plan"], 1, "empty.plan: the file is empty; expected one action per line"),
         (["--out", "a.svg", "--log", "t.jsonl", "--episode", "nine"], 1, "episode 'nine': the log has one, two"),
     ],
 )
@@ -463,6 +464,7 @@ def test_what_draw_refuses(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("bad.plan").write_text("(place hammer slot-1 box-a)\n")
+    Path("empty.plan").touch()
     Path("t.jsonl").write_text("".join(json.dumps(row) + "\n" for row in TRACE))
     result = CliRunner().invoke(main, ["draw", str(KITTING / "tiny.pddl"), *options])
     assert (result.exit_code, words in result.output) == (code, True), result.output

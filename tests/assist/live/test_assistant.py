@@ -385,6 +385,10 @@ def test_the_robot_is_where_it_says(tiny: Table) -> None:
     ("call", "says"),
     [
         (lambda desk, _: desk.observe("anne", "(fetch box-a)"), "'anne' is not in the team; present: ann, bob"),
+        (
+            lambda desk, _: desk.observe("ann", "(plaec hammer slot-2)"),
+            r"'plaec'; nearest in spelling of all actions: \(place hammer slot-2\); of the 2 applicable: \(fetch",
+        ),
         (lambda desk, _: desk.observe("ann", "(fetch box-c)"), "box-c\\) is no action of the task; nearest in"),
         (
             lambda desk, _: desk.observe("ann", "(return box-a)"),
@@ -392,7 +396,8 @@ def test_the_robot_is_where_it_says(tiny: Table) -> None:
         ),
         (lambda desk, _: desk.observe("ann", "(fetch box-a)", id=""), "id '': expected 1 to 128 characters"),
         (lambda desk, _: desk.undo("ann"), "ann has done nothing yet"),
-        (lambda desk, _: desk.undo("ann", of="left"), "ann has done nothing of the kind 'left'"),
+        (lambda desk, _: desk.undo("ann", of="left"), "of 'left': expected one of acted, answered"),
+        (lambda desk, _: desk.undo("ann", of="answerd"), "of 'answerd': did you mean 'answered'?"),
         (lambda desk, _: desk.join("ann"), "ann is there already"),
         (lambda desk, _: desk.join(" "), "expected a name"),
         (lambda _, task: Assistant(task, "ann"), "expected a list of names"),

@@ -513,7 +513,7 @@ def test_the_operator_erases_what_is_recorded_of_a_person(web: Web) -> None:
         assert (found["label"], found["reason"], found["events"]) == ("(erased 1)", "asked by e-mail", 3)
         assert b"bob" not in b"".join(file.read_bytes() for file in web.folder.iterdir())
         assert web.ask("GET", ANN, "ann").json() == ann
-        assert "bob" not in web.ask("GET", "/api/team").text
+        assert '"bob"' not in web.ask("GET", "/api/team").text
         assert web.ask("DELETE", "/api/people/ann/records", params={"reason": "asked, too"}).status_code == 200
         with pytest.raises(EndedError):
             watched.view()
@@ -541,3 +541,53 @@ def test_the_interface_is_described(web: Web) -> None:
         "pages/docs.js",
     ]
     assert {web.client.get(f"/{one}").status_code for one in loaded[1:]} == {200}
+
+
+@pytest.mark.cases
+def test_what_a_request_misspells_is_told(web: Web) -> None:
+    """Unknown parameters of an address, a view that there cannot be yet, a body that is not said to be JSON."""
+    for path, said in (
+        ("/api/log?tsk=tiny", "parameter 'tsk' of the address: unknown; did you mean 'task'?"),
+        ("/api/health?redy=true", "parameter 'redy' of the address: unknown; did you mean 'ready'?"),
+        ("/api/team?person=ann", "parameter 'person' of the address: unknown; expected none"),
+    ):
+        refused = web.ask("GET", path)
+        assert (refused.status_code, refused.json()["detail"]) == (422, said)
+    assert web.client.get("/join/ann?from=mail").status_code == 200  # the address of a page
+    assert web.ask("GET", "/api/log?task=tiny").status_code == 200
+    seq = web.ask("GET", ANN, "ann").json()["seq"]
+    refused = web.act("(fetch box-a)", seq=99)
+    assert refused.status_code == 422
+    assert refused.json()["detail"] == "seq 99: there is no such view yet; expected 2 or less"
+    assert web.act("(fetch box-a)", seq=seq).status_code == 200
+    unknown = web.act("(fetsh box-a)").json()["detail"]
+    assert "nearest in spelling of all actions: (fetch box-a); of the 3 applicable: " in unknown
+    headers = web.who("ann")
+    for kind, said in (
+        ({}, "the header Content-Type is missing"),
+        ({"Content-Type": "text/plain"}, "Content-Type: text/plain"),
+    ):
+        sent = {"content": b'{"action": "(return box-a)"}', "headers": headers | kind}
+        refused = web.client.post(f"{ANN}/actions", **sent)
+        assert refused.status_code == 422
+        assert refused.json()["detail"] == f"{said}; expected Content-Type: application/json"
+    refused = web.ask("POST", f"{ANN}/undo", "ann", json={"of": "answerd"})
+    assert (refused.status_code, refused.json()["detail"]) == (422, "of 'answerd': did you mean 'answered'?")
+
+
+@pytest.mark.cases
+def test_a_bridge_that_fails_to_say_why_it_waits_stops_no_checks(tiny: Table, tmp_path: Path) -> None:
+    class Broken:
+        name, counts, connected = "line", dict[str, int](), True
+
+        @property
+        def waits(self) -> list[str]:
+            raise OSError("no such queue")
+
+    web = Web(tiny, tmp_path, check=0.01)
+    with web.client, web.watch(None) as team:
+        assert team.view()["problems"] == []
+        web.service.bridges["line"] = Broken()  # type: ignore[assignment]
+        assert team.view()["problems"] == ["line: it is not known what it waits for: no such queue"]
+        del web.service.bridges["line"]
+        assert team.view()["problems"] == []

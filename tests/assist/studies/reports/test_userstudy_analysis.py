@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import sys
 from importlib.metadata import version
 from itertools import combinations, permutations
 from pathlib import Path
@@ -23,7 +24,7 @@ from assist.cli.user_study import _report
 from assist.learning.intervals import holm
 from assist.studies.repeated_measures import means_within, mixed_model, within_participants
 from assist.studies.reports import userstudy_comparisons
-from assist.studies.reports.preregistration import REGISTERED
+from assist.studies.reports.preregistration import REGISTERED, changed
 from assist.studies.reports.userstudy_data import Measure, StudyData
 from assist.studies.reports.userstudy_report import of_folder, write_report
 from assist.studies.reports.userstudy_summary import summarise
@@ -593,6 +594,7 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
         return (tmp_path / "report" / "report.md").read_text().split("\n\n")[1]
 
     assert first_lines().endswith("the study's file and the analysis have not changed.")
+    assert changed(read(file), data) is None
     written(data / "study.toml", CONFIRMED.replace("actions", "seconds"))
     (line,) = [number for number, one in enumerate(CONFIRMED.splitlines(), start=1) if one.startswith("confirmatory")]
     assert (
@@ -601,6 +603,11 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
         )
         in first_lines()
     )
+    other = written(tmp_path / "other.toml", CONFIRMED.replace("actions", "seconds"))
+    monkeypatch.setattr("assist.cli.user_study._tasks", lambda _: sys.exit(3))  # the notes precede it
+    served = invoke("serve", "--study", other, "--data", data)
+    assert "since the registration, the study's file has changed (line" in served.stderr
+    assert served.exit_code == 3
     record = json.loads((data / REGISTERED).read_text())
     record["analysis"]["studies/statistics.py"] = "0"
     (data / REGISTERED).write_text(json.dumps(record | {"registered": "3000-01-01T00:00:00+00:00"}))
