@@ -158,15 +158,15 @@ class Neighbourhood:
         """Whether robots must see all actions as they are, to know what people saw."""
         return len(self.sees) > 0
 
-    def told(self, robot: Ints) -> Bools:
+    def told(self, heard: Ints) -> Bools:
         """Return to whom robots said something, where others can see it, shape (N, K).
 
         Parameters
         ----------
-        robot : int array, shape (N, K'), with K' >= K
+        heard : int array, shape (N, K'), with K' >= K
             The robot action that each person heard; 0 for none.
         """
-        return np.logical_and(robot[:, : len(self.sees)] > 0, self.watched)
+        return np.logical_and(heard[:, : len(self.sees)] > 0, self.watched)
 
     def seen_from(self, place: int) -> dict[int, float]:
         """Return whom the person at a place sees, with the weight of each."""

@@ -137,7 +137,7 @@ class Beliefs(Protocol):
         """Return the probability that a person with a policy has reached their goal."""
         ...
 
-    def heard(self, robot: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
+    def heard(self, said: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
         """Return what people hear: robot actions in their states `x`, shape (P,), of those in the most probable one."""
         ...
 

@@ -74,10 +74,10 @@ class KnownStates:
         reached = policy.arrays.goal[:, self.x[person]]
         return float(reached[0]) if reached.all() == reached.any() else self.joint(person, policy).finished(policy)
 
-    def heard(self, robot: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
+    def heard(self, said: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
         """Return what people hear, as in `Beliefs`: the very actions."""
         del x, groups
-        return robot
+        return said
 
     def joint(self, person: int, policy: Policy) -> JointBelief:
         """Return the belief in a person over places and types, as in `Beliefs`."""

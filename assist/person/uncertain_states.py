@@ -125,12 +125,12 @@ class UncertainStates(KnownStates):
         known = self.joints.get(person)
         return super().finished(person, policy) if known is None else known.finished(policy)
 
-    def heard(self, robot: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
+    def heard(self, said: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
         """Return what people hear, as in `Beliefs`; nothing, where the suggested action is not applicable."""
-        there = np.zeros_like(robot)
+        there = np.zeros_like(said)
         for pomdp, people in groups:
             same = same_suggestions(pomdp, self.x[people], x[people])
-            there[people] = np.take_along_axis(same, robot[people, None], axis=1)[:, 0]
+            there[people] = np.take_along_axis(same, said[people, None], axis=1)[:, 0]
         return there
 
     def joint(self, person: int, policy: Policy) -> JointBelief:
