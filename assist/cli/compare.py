@@ -25,7 +25,18 @@ comparison_files = together(
 )  # fmt: skip
 
 
-@click.group()
+class Comparisons(click.Group):
+    """The group of the comparisons; whoever names none of them learns which there are."""
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a comparison; another word is a usage error."""
+        if cmd_name not in self.commands and not cmd_name.startswith("-"):
+            known = " or ".join(self.commands)
+            ctx.fail(f"'{cmd_name}': expected {known} first, such as kitassist compare models INSTANCE LOG")
+        return super().get_command(ctx, cmd_name)
+
+
+@click.group(cls=Comparisons)
 def compare() -> None:
     """Compare models of people by how well they predict people to whom they were not fitted."""
 

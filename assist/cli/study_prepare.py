@@ -11,7 +11,7 @@ import click
 
 from planner.batch.results_folder import SolveOptions
 
-from .options.common import INPUT_FILE, data_option
+from .options.common import INPUT_FILE, Number, data_option
 from .options.help import command
 from .options.listening import public_url_option
 from .options.task import costs_of
@@ -29,9 +29,15 @@ if TYPE_CHECKING:
     "--links", type=INPUT_FILE, metavar="FILE",
     help="Print a signed link for each participant ID in this file, one a line, instead of registering.",
 )  # fmt: skip
+@click.option(
+    "--difference", type=Number(min=0, max=1e9, min_open=True), metavar="ACTIONS",
+    help="Also print how many participants show a difference of so many actions per task with a power of 80 %.",
+)  # fmt: skip
 @click.option("--check", is_flag=True, help="Only check the file and the policies, and register nothing.")
 @public_url_option
-def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool, public_url: str | None) -> None:
+def study_prepare(
+    file: Path, data: Path | None, links: Path | None, difference: float | None, check: bool, public_url: str | None
+) -> None:
     """Preregister a user study, or sign the links of its participants.
 
     The registration holds FILE.toml, and digests of it and of the analysis. The report states what has changed. Which
@@ -39,10 +45,13 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
     """
     from ..declare.declared import plain
     from ..studies.reports.preregistration import register
+    from ..studies.userstudy.forecast import MOST
     from ..studies.userstudy.plan_file import read
 
     if check and links is not None:
         raise click.UsageError("--check cannot be combined with --links")
+    if difference is not None and links is not None:
+        raise click.UsageError("--difference has no effect with --links")
     study = read(file)
     if check or links is None:
         if data is None and not check:
@@ -51,6 +60,10 @@ def study_prepare(file: Path, data: Path | None, links: Path | None, check: bool
         forecast = _forecast(study)
         for text in forecast.remarks():
             note(text)
+        if difference is not None:
+            for condition, needed in forecast.participants(difference):
+                enough = f"more than {MOST:,}" if needed is None else f"{needed:,}"
+                note(f"{condition} minus {study.reference}: {difference:g} actions per task take {enough} participants")
         if record is None:
             shown = [plain(one) for one in forecast.sensitivity()]
             counts = {"places": study.participants, "comparisons": study.comparisons}

@@ -31,7 +31,7 @@ def study_report(place: Path, out: Path | None, baseline: str | None, as_json: b
     out = out or (place / REPORT if place.is_dir() else place.with_name(f"{place.stem}-{REPORT}"))
     try:
         summary = write_report(place, out, baseline=baseline)
-    except (InputFileError, OSError) as error:
+    except InputFileError as error:
         fail(str(error), ExitCode.FAILED)
     if as_json:
         print_json(summary)

@@ -16,6 +16,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from planner.system.errors import in_words
+
 FOLDER = Path(__file__).parent
 FIRST = "en"
 TAG = re.compile(r"[A-Za-z]{2,3}(-[A-Za-z0-9]{2,8})*")
@@ -123,7 +125,9 @@ def catalogue(language: str = FIRST) -> Catalogue:
         raise ValueError(f"{file}: expected a file that is named after its language, such as fr.toml")
     try:
         return _read(file, file.stat().st_mtime_ns, own)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise ValueError(in_words(error)) from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"{file}: {error}") from None
 
 

@@ -19,6 +19,7 @@ from click.core import ParameterSource
 
 from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
+from planner.system.files import no_such
 
 from . import tables
 from .declared import (
@@ -57,6 +58,20 @@ class Written(click.ParamType):  # type: ignore[type-arg]
 
     def __init__(self, metavar: str) -> None:
         self.name = metavar
+
+
+class Input(click.Path):
+    """An input file. Of one that does not exist, the most similar name in its folder is told."""
+
+    def __init__(self) -> None:
+        super().__init__(exists=True, dir_okay=False, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Parse a path."""
+        path = Path(os.fspath(value))
+        if os.fspath(value) and not path.exists():
+            self.fail(f"{path}: {no_such(path)}", param, ctx)
+        return Path(os.fsdecode(super().convert(value, param, ctx)))
 
 
 class Given(Generic[T]):
@@ -117,6 +132,8 @@ class Given(Generic[T]):
     def text(self, name: str, text: str, source: str) -> None:
         """Set a field, such as `c_suggest` or `population.beta`, to a value that is written in TOML, or a plain text.
 
+        The source names the field, too.
+
         Raises
         ------
         click.UsageError
@@ -126,7 +143,7 @@ class Given(Generic[T]):
         for part in name.split("."):
             known = names_of(bare(_kind_at(self.kind, place)))
             if part not in known:
-                raise click.UsageError(f"{source} {name}: unknown; {meant(part, known)}")
+                raise click.UsageError(f"{source}: unknown; {meant(part, known)}")
             place = (*place, part)
         self.put(place, value_of(text, _kind_at(self.kind, place)), source)
 
@@ -251,7 +268,7 @@ def setting_options(
             help="Any other field of the setting; `kitassist settings` lists them.",
         )(command)  # fmt: skip
         command = click.option(
-            "--setting", "setting_file", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+            "--setting", "setting_file", type=Input(),
             metavar="FILE.toml", help="Fields of the setting from a file, as `kitassist settings` prints them.",
         )(command)  # fmt: skip
         for name, mark in reversed([one for one in usual(kind) if one[0] not in without]):

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from planner.system.errors import InputFileError
+from planner.system.files import no_such
 
 from .declared import Beside, DeclarationError, annotation_of, bare, is_declared, marks, names_of, shown, spelt
 
@@ -23,7 +24,7 @@ def load(file: Path) -> dict[str, Any]:
     try:
         data = file.read_bytes()
     except FileNotFoundError:
-        raise InputFileError(f"{file}: no such file") from None
+        raise InputFileError(f"{file}: {no_such(file)}") from None
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from planner.system.arrays import read_only
-from planner.system.errors import InputFileError
+from planner.system.errors import InputFileError, in_words
 from planner.system.results import Result
 from planner.system.signs import plain
 
@@ -184,7 +184,7 @@ def _lines(path: Path, wanted: Iterable[str]) -> list[tuple[int, dict[str, str]]
     try:
         lines = lines_of(path.read_bytes(), Taken())
     except OSError as error:
-        raise InputFileError(f"{path}: {error}") from None
+        raise InputFileError(in_words(error)) from None
     (number, head), rows = read_table(lines, (*COLUMNS, OPTIONAL), lambda _: frozenset(), Taken())
     broken = next(((line, row) for line, row in rows if isinstance(row, Broken)), None)
     if broken is not None:

@@ -179,7 +179,7 @@ def replayed(
         raise InputFileError(f"{log.name}:{faults[0].line}: {faults[0]}")
     elif faults:
         warned(log, faults)
-    require_actions(log, recording, states)
+    require_actions(log, recording, states, told=tell is not None)
     wanted, notes = recording.wanted(), list[str]()
     if isinstance(states, JointStates):
         known, notes = states.evaluated(wanted, strict=strict)
@@ -252,6 +252,8 @@ def _require_known(reading: Reading) -> None:
     for name in reading.keys() - Reading.__annotations__.keys():
         if name in sentences(Method):
             raise TypeError(f"{name}: expected method=Method({name}=...)")
+        if name in ("influence", "trust", "rule"):
+            raise TypeError(f"{name}: expected fit_influence(replayed(task, log), rule), which estimates a trust rule")
         raise TypeError(f"{name}: a log has no such option; {expected(name, Reading.__annotations__)}")
 
 
@@ -271,19 +273,24 @@ def _outside() -> int:
     return level
 
 
-def require_actions(log: Log, recording: Recording, states: TransitionSystem) -> None:
-    """Check that some episode of a log can be used."""
+def require_actions(log: Log, recording: Recording, states: TransitionSystem, *, told: bool = False) -> None:
+    """Check that some episode of a log can be used; what is wrong is said, unless the faults were `told` already."""
     if len(recording):
         return
     if not log.people and log.faults:
-        raise InputFileError(f"{log.name}:{log.faults[0].line}: {log.faults[0]}")
+        raise InputFileError(f"{log.name}: no line can be used" if told else f"{log.name}:{_first(log)}")
     if not log.people:
-        raise InputFileError(f"{log.name}: no recorded actions")
+        raise InputFileError(f"{log.name}: no recorded actions; expected a line for each, as JSON or in a table")
     if not log.entries:
-        why = f"; line {log.faults[0].line}: {log.faults[0]}" if log.faults else ""
+        why = f"; line {_first(log)}" if log.faults and not told else ""
         raise InputFileError(f"{log.name}: no episode can be used{why}")
     place = states.task.instance
     raise InputFileError(f"{log.name}: no episode can be followed through {place}; is it the log of another instance?")
+
+
+def _first(log: Log) -> str:
+    """Return the first fault of a log, behind its line."""
+    return f"{log.faults[0].line}: {log.faults[0]}"
 
 
 class JointStates:

@@ -200,7 +200,7 @@ def infer_goals(
     if left_out:
         notes.append(f"{left_out} actions are left out, since the cost-to-go after them is unknown")
     if (r.recording.suggested != NOTHING).any():
-        notes.append("suggestions are ignored: people are taken to choose by cost-to-go alone")
+        notes.append("suggestions are ignored, as if people chose by cost-to-go alone; `fit` with goals reads them")
     likelihood = np.log(_probabilities(r, grid, lapse))
     with np.errstate(divide="ignore"):
         episodes = _posteriors(r, likelihood, grid)

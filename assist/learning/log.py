@@ -24,7 +24,7 @@ from typing import Any, cast
 from planner.system.results import Result
 
 from ..people.action_names import words_of, wrong_form
-from .log_files import IN_TEAM, NEEDED, is_hidden, named_rows, own_names, read_records, tidy
+from .log_files import IN_TEAM, NEEDED, is_hidden, lacking_column, named_rows, own_names, read_records, tidy
 from .log_rows import Broken, Names, Row, Taken
 from .log_steps import moment
 
@@ -165,8 +165,10 @@ class Log(Result):
         name : str
             Name of the log in messages.
         """
-        taken = Taken()
-        rows = named_rows(list(enumerate(_records(records), start=1)), own_names(columns), name, taken)
+        taken, named = Taken(), own_names(columns)
+        rows = named_rows(list(enumerate(_records(records), start=1)), named, name, taken)
+        if hasattr(records, "columns") and (lacking := lacking_column(list(map(str, records.columns)), named)):
+            rows = [(1, lacking)]
         return _log(tidy(rows, taken, gaps=gaps), gaps, name, taken)
 
 

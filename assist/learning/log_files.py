@@ -75,7 +75,7 @@ def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) 
     lines = lines_of(file.read_bytes(), taken)
     texts = [line for line in lines if isinstance(line, str) and line.strip()]
     head = texts[0].strip() if texts else ""
-    own = {columns.get(name, name) for name in COLUMNS}
+    own = set(_sources(columns).values())
     if head.startswith(("{", "[")) or not _is_table(file, texts, own):
         rows = read_json(lines, lambda key: isinstance(key, str) and plain(key).lower() in own, _owners)
         rows = named_rows(rows, columns, file, taken)
@@ -104,7 +104,16 @@ def own_names(columns: Mapping[str, str] | None) -> dict[str, str]:
         if own.strip().lower() in found.values():
             raise ValueError(f"columns {name}={own}: '{own}' stands for another column already")
         found[key] = own.strip().lower()
+    for key, own in found.items():
+        if own in NEEDED and own not in found:
+            raise ValueError(f"columns {key}={own}: '{own}' is the column of the {own} already; expected another one")
     return found
+
+
+def _sources(columns: Mapping[str, str]) -> dict[str, str]:
+    """Return the file's name of each column of a log; one that a user has named is no other's."""
+    named = set(columns.values())
+    return {name: columns.get(name, name) for name in COLUMNS if name in columns or name not in named}
 
 
 def tidy(rows: Iterable[Row], taken: Taken, *, gaps: bool = False) -> list[Row]:
@@ -251,7 +260,7 @@ def named_rows(
     keys = {key: plain(key).lower() for key in head}
     keys |= {key: plain(key).lower() for _, record in rows if isinstance(record, Mapping) for key in map(str, record)}
     _check(columns, list(keys.values()), name)
-    source = {name: columns.get(name, name) for name in COLUMNS}
+    source = _sources(columns)
     renamed = {key: name for name, own in source.items() for key, plain_key in keys.items() if plain_key == own}
     found: list[Row] = []
     for number, record in rows:
@@ -314,7 +323,7 @@ def _is_table(file: Path, texts: Sequence[str], sought: Collection[str]) -> bool
 
 def _from_table(lines: Sequence[str | Broken], columns: Mapping[str, str], file: Path, taken: Taken) -> list[Row]:
     """Return the records of a table with the column names of a log; an empty cell is None."""
-    source = {name: columns.get(name, name) for name in COLUMNS}
+    source = _sources(columns)
 
     def owners(cells: Mapping[str, str]) -> frozenset[Names]:
         return _owner({name: plain(cells[source[name]]) for name in NAMES if cells.get(source[name])})
@@ -324,15 +333,28 @@ def _from_table(lines: Sequence[str | Broken], columns: Mapping[str, str], file:
         (line, record if isinstance(record, Broken) else {name: _cell(name, record[name], taken) for name in record})
         for line, record in named_rows(rows, columns, file, taken, head)
     ]
+    lacking = None if any(line == number for line, _ in rows) else lacking_column(head, columns)
+    return rows if lacking is None else [row for row in rows if isinstance(row[1], Broken)] + [(number, lacking)]
+
+
+def lacking_column(head: Sequence[str], columns: Mapping[str, str]) -> Broken | None:
+    """Return the fault of a table without a column that a log needs; None if it has all, or no columns.
+
+    Parameters
+    ----------
+    head : sequence of str
+        Names of the table's columns.
+    columns : mapping of str to str
+        The table's name of each column of a log; checked by `own_names`.
+    """
     names = [plain(cell).lower() for cell in head]
-    missing = [name for name in NEEDED if source[name] not in names]
-    if not head or not missing or any(line == number for line, _ in rows):
-        return rows
-    message = (
+    missing = [name for name in NEEDED if _sources(columns)[name] not in names]
+    if not names or not missing:
+        return None
+    return Broken(
         f"no column is called {' or '.join(missing)}; expected {', '.join(COLUMNS[:5])}, or --columns "
         f"{missing[0]}=NAME (in Python columns={{'{missing[0]}': NAME}}) with one of {', '.join(filter(None, names))}"
     )
-    return [row for row in rows if isinstance(row[1], Broken)] + [(number, Broken(message))]
 
 
 def _check(columns: Mapping[str, str], there: Sequence[str], file: object) -> None:

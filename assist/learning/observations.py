@@ -215,6 +215,11 @@ class Observations(Result):
         return ~self.optimal[np.arange(len(self)), self.chosen]
 
     @property
+    def mistakes_by_goal(self) -> NDArray[np.bool_]:
+        """Whether each action was not an optimal choice with each goal, shape (G, N)."""
+        return ~self.by_goal("optimal")[:, np.arange(len(self)), self.chosen]
+
+    @property
     def suboptimal(self) -> int:
         """The number of actions that were not optimal choices."""
         return int(self.mistake.sum())

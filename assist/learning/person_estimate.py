@@ -265,9 +265,13 @@ class PersonEstimate(Result):
         return len(self.observations)
 
     @property
-    def suboptimal_actions(self) -> int:
-        """The number of actions that were not optimal choices."""
-        return self.observations.suboptimal
+    def suboptimal_actions(self) -> float:
+        """The number of actions that were not optimal choices; with several goals, its mean over their posterior."""
+        o = self.observations
+        if not o.goals.distinguished:
+            return o.suboptimal
+        shares = np.array([list(each.values()) for each in self.goal_posteriors().values()])  # (episodes, G)
+        return float((shares[o.begins.cumsum() - 1].T * o.mistakes_by_goal).sum())
 
     def probabilities(self) -> Floats:
         """Return the probability of each choice at the estimates, shape (N, A), including lapses."""
@@ -347,7 +351,7 @@ class PersonEstimate(Result):
                 "weights_open": {name: estimate.open for name, estimate in self._of_terms.items()},
             }
         record |= {
-            "episodes": len(o.episodes), "actions": len(o), "suboptimal_actions": o.suboptimal,
+            "episodes": len(o.episodes), "actions": len(o), "suboptimal_actions": self.suboptimal_actions,
             "suggestions": int(told.sum()), "followed": int((o.chosen[told] == o.suggested[told]).sum()),
             "log_likelihood": self.log_likelihood, "check": {"p": self.check.p, **self.check.scores},
         }  # fmt: skip

@@ -78,6 +78,8 @@ class InfluenceFit(Result):
         Those of the rule.
     intervals : dict of str to (float, float)
         Likelihood-ratio interval of each parameter that was estimated.
+    unidentified : tuple of str
+        Parameters that the choices say nothing about: their intervals are all values that are searched.
     population : InfluencePopulation
     log_likelihood : float
         Marginal log likelihood of all choices.
@@ -93,6 +95,7 @@ class InfluenceFit(Result):
     rule: str
     parameters: dict[str, float]
     intervals: dict[str, Interval]
+    unidentified: tuple[str, ...]
     population: InfluencePopulation
     log_likelihood: float
     carried: bool
@@ -102,7 +105,8 @@ class InfluenceFit(Result):
 
     def __repr__(self) -> str:
         given = {name: "" if name in self.intervals else " (given)" for name in self.parameters}
-        values = ", ".join(f"{name} {value:.3g}{given[name]}" for name, value in self.parameters.items())
+        shown = {name: "?" if name in self.unidentified else f"{value:.3g}" for name, value in self.parameters.items()}
+        values = ", ".join(f"{name} {shown[name]}{given[name]}" for name in self.parameters)
         return f"<trust rule {self.rule} of {len(self.people)} people: {values or 'no parameters'}>"
 
     def records(self) -> list[dict[str, Any]]:
@@ -113,7 +117,8 @@ class InfluenceFit(Result):
         """Return estimates as plain data."""
         return {
             "rule": self.rule, "parameters": self.parameters, "intervals": self.intervals,
-            "population": vars(self.population), "log_likelihood": self.log_likelihood, "carried": self.carried,
+            "unidentified": self.unidentified, "population": vars(self.population),
+            "log_likelihood": self.log_likelihood, "carried": self.carried,
             "people": [vars(one) for one in self.people],
         }  # fmt: skip
 
@@ -166,14 +171,17 @@ def fit_influence(
     family = rule_beside(family_of(rule, method), method)
     log = LikelihoodTable.of_advised(observations, method, carry=carry)
     search = RuleSearch(log, family, carry)
-    values, intervals = search.best(), {}
+    values, intervals, open_ended = search.best(), {}, list[str]()
     # A person's belief is averaged over what the parameters of the rule may be: with the best ones alone, intervals of
     # theta after many suggestions are too short.
     points, shares = np.zeros((1, 0)), np.ones(1)
     if family.ranges:
         covariance = search.covariance(values)
-        ends = zip(family.ranges, search.intervals(values, covariance, method.level), strict=True)
-        intervals = {name: (family.parameter(name, low), family.parameter(name, high)) for name, (low, high) in ends}
+        ends = dict(zip(family.ranges, search.intervals(values, covariance, method.level), strict=True))
+        intervals = {
+            name: (family.parameter(name, end[0]), family.parameter(name, end[1])) for name, end in ends.items()
+        }
+        open_ended = [name for name, whole in family.ranges.items() if np.allclose(ends[name], whole)]
         sample = search.sample(values, covariance)
         points, shares = sample.points, sample.shares
     population, value = search.fitted(values)
@@ -204,8 +212,8 @@ def fit_influence(
     )  # fmt: skip
     chosen = family.rule(values)
     return InfluenceFit(
-        name_of(rule) + family.beside, parameters_of(chosen), intervals, population, value, carry, tuple(people),
-        chosen, margins,
+        name_of(rule) + family.beside, parameters_of(chosen), intervals, tuple(open_ended), population, value, carry,
+        tuple(people), chosen, margins,
     )  # fmt: skip
 
 

@@ -15,6 +15,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from planner.system.errors import expected
+from planner.system.files import no_such
+
 from ..declare.declared import UserCodeError as UserCodeError
 
 if TYPE_CHECKING:
@@ -43,8 +46,7 @@ def load(file: Path, name: str) -> Any:
         There is no such file or function, or the file cannot be run.
     """
     if not file.is_file():
-        meant = f"; did you mean {file}.py?" if Path(f"{file}.py").is_file() else ""
-        raise UserCodeError(f"{file}: no such file{meant}")
+        raise UserCodeError(f"{file}: {no_such(file)}")
     # A unique module name for each file, so that its classes can be pickled.
     module_name = f"_own_{sha256(str(file.resolve()).encode()).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(module_name, file)
@@ -55,15 +57,25 @@ def load(file: Path, name: str) -> Any:
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise UserCodeError(described(error, file)) from error
+        raise UserCodeError(f"{described(error, file)}{_beside(error, file)}") from error
     function = getattr(module, name, None)
     if isinstance(function, type):
         function = object_of(function, f"{file}:{name}")
     if function is None:
-        raise UserCodeError(f"{file}: has no function '{name}'")
+        own = [one for one, value in vars(module).items() if callable(value) and value.__module__ == module_name]
+        known = f"; {expected(name, own)}" if own else ""
+        raise UserCodeError(f"{file}: has no function '{name}'{known}")
     if not callable(function) and not hasattr(function, "update"):
         raise UserCodeError(f"{file}:{name}: expected a function, or a trust rule with a method `update`")
     return function
+
+
+def _beside(error: BaseException, file: Path) -> str:
+    """Return what is expected where a file imports another one from its folder, which records would not contain."""
+    name = error.name if isinstance(error, ModuleNotFoundError) else None
+    if name is None or not any((file.parent / f"{name}{end}").exists() for end in (".py", "")):
+        return ""
+    return f"; '{name}' is beside this file: expected all of your code in one file, or {name} installed as a package"
 
 
 def object_of(given: type, name: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from planner import Instance, find_instances
 from planner.pddl.instance_finder import bundled_files
 from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
+from planner.system.files import no_such, read_json
 
 from ..declare.declared import shown
 from ..declare.tables import convert, fault
@@ -65,7 +65,7 @@ def own_policy(file: Path, place: str, name: str, *, must_exist: bool = True) ->
     if own is None and name not in POLICIES:
         raise fault(file, place, f"'{name}'; {meant(name, POLICIES, ', or FILE.py:FUNCTION')}")
     if own is not None and must_exist and not own[0].is_file():
-        raise fault(file, place, f"{own[0]}: no such file")
+        raise fault(file, place, f"{own[0]}: {no_such(own[0])}")
     return own
 
 
@@ -90,12 +90,8 @@ def population(file: Path, place: str, content: dict[str, Any]) -> Population:
 
 def _fitted(file: Path, place: str, name: Any) -> Population:
     try:
-        return populations.mixture(json.loads((file.parent / name).read_text(encoding="utf-8")))
-    except InputFileError:
-        raise
+        return populations.mixture(read_json(file.parent / name))
     except TypeError:
         raise fault(file, place, f"{shown(name)}; expected a text") from None
-    except OSError as error:
-        raise fault(file, place, f"{error.filename}: {error.strerror}") from None
     except ValueError as error:
         raise fault(file, place, str(error)) from None

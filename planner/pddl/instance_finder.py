@@ -19,6 +19,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from ..system.errors import InputFileError
+from ..system.files import no_such
 from .instances import Instance, PDDLError
 
 DOMAIN_FILE = "domain.pddl"
@@ -311,7 +312,8 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
             if not files and any(mark in str(path) for mark in "*?["):
                 raise InputFileError(f"{name}: no problem file matches")
             if not files and not (files := bundled_files(path)):
-                raise InputFileError(f"{name}: no such file or folder{bundled_near(path)}")
+                what = f"no such file or folder{bundled_near(path)}"
+                raise InputFileError(f"{name}: {what if ';' in what else no_such(path, what)}")
         found.update((_instance(file, domain, heads), None) for file in files)
     domains = {one.domain.resolve() for one in found if not heads[one.problem].is_domain}
     return [one for one in found if one.problem.resolve() not in domains]

@@ -40,6 +40,12 @@ def require_kind(value: Any, kind: type, example: str) -> None:
         raise TypeError(f"a {type(value).__name__} where a {kind.__name__} was expected, such as {example}")
 
 
+def in_words(error: OSError) -> str:
+    """Return a system error as one line; some libraries raise it without its fields."""
+    what = error.strerror or " ".join(str(error).split()) or type(error).__name__
+    return what if error.filename is None else f"{error.filename}: {what}"
+
+
 class MissingExtraError(ImportError):
     """An optional dependency is not installed; the message contains the pip command that installs it.
 

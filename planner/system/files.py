@@ -6,6 +6,7 @@ directly. A file without write permission is refused, also for the superuser.
 
 from __future__ import annotations
 
+import difflib
 import errno
 import json
 import math
@@ -19,7 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, TypeVar
 
-from .errors import InputFileError
+from .errors import InputFileError, in_words
 
 UNFINISHED = ".unfinished-"
 """Prefix of the temporary files of `atomic`."""
@@ -170,6 +171,53 @@ def read_records(file: Path) -> list[dict[str, Any]]:
             raise record
         found.append(record)
     return found
+
+
+def read_json(file: Path) -> Any:
+    """Return the content of a JSON file.
+
+    Parameters
+    ----------
+    file : Path
+
+    Raises
+    ------
+    InputFileError
+        There is no such file, it cannot be read, or it has no JSON.
+    """
+    try:
+        data = file.read_bytes()
+    except FileNotFoundError:
+        raise InputFileError(f"{file}: {no_such(file)}") from None
+    except OSError as error:
+        raise InputFileError(in_words(error)) from None
+    if not data.strip():
+        raise InputFileError.of(file, None, "the file is empty; expected JSON")
+    try:
+        return json.loads(data.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise InputFileError.of(file, None, "not text in UTF-8; expected JSON") from None
+    except json.JSONDecodeError as error:
+        raise InputFileError.of(file, error.lineno, f"not JSON (column {error.colno}: {error.msg})") from None
+    except (ValueError, RecursionError):
+        raise InputFileError.of(file, None, "not JSON: a number or the depth of its lists is too large") from None
+
+
+def no_such(file: Path, what: str = "no such file") -> str:
+    """Return what is said of a path that does not exist, with the most similar name in its folder.
+
+    Parameters
+    ----------
+    file : Path
+    what : str
+        How the sentence begins.
+    """
+    near: list[str] = []
+    with suppress(OSError, ValueError):  # there is no such folder, or no path can have this name
+        others = sorted(one.name for one in file.parent.iterdir() if one.name != file.name)
+        near = [name for name in others if Path(name).stem == file.name]
+        near = near or difflib.get_close_matches(file.name, others, n=1, cutoff=0.75)
+    return f"{what}; did you mean '{file.parent / near[0]}'?" if near else what
 
 
 def each_record(file: Path) -> Iterator[dict[str, Any] | InputFileError]:

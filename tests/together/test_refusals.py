@@ -128,6 +128,10 @@ def in_bytes(folder: Path, content: bytes) -> None:
 
 
 REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
+    "a trust rule for fit": (
+        lambda g: learned(g.table, ACTIONS, influence="paper"),
+        TypeError, "influence: expected fit_influence(replayed(task, log), rule)",
+    ),
     # People and pools.
     "two choice models": (
         lambda _: Population.mixed((Population(), Population(chooses=another_way)), (0.5, 0.5)),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner.system.errors import InputFileError, MissingExtraError
+from planner.system.errors import InputFileError, MissingExtraError, in_words
 
 if TYPE_CHECKING:
     from planner import CostToGo
@@ -83,5 +83,7 @@ def bridge_of(file: Path, robots: int = 1) -> Beside:
             raise MissingExtraError(f"the {protocol} bridge needs", str(error.name), extra) from None
         settings = kind.reads.read(file, robots)
         return Beside(file, settings, kind(settings, robots))
-    except (InputFileError, OSError) as error:
+    except InputFileError as error:
         raise click.UsageError(str(error)) from None
+    except OSError as error:
+        raise click.UsageError(in_words(error)) from None

@@ -15,6 +15,8 @@ from click.core import ParameterSource
 
 from planner.system import files
 
+from ...declare.options import Input
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 Option = Callable[[Command], Command]
 
@@ -33,6 +35,39 @@ class Number(click.FloatRange):
 
     def _describe_range(self) -> str:
         return "" if self.min is self.max is None else super()._describe_range()
+
+
+class Fraction(Number):
+    """A fraction, from 0 to 1."""
+
+    name = "fraction"
+
+    def __init__(self, example: str) -> None:
+        super().__init__(min=0, max=1)
+        self.example = example
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse and check a value; percent are refused with an example of a fraction."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            self.fail(f"{value}; expected a fraction from 0 to 1, such as {self.example}", param, ctx)
+
+
+class Seconds(Number):
+    """A time in seconds, more than none."""
+
+    name = "seconds"
+
+    def __init__(self) -> None:
+        super().__init__(min=0, max=1e9, min_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse and check a value; another unit is refused."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            self.fail(f"{value}; expected a number of seconds, above 0 and up to 1e9, such as 300", param, ctx)
 
 
 MEGABYTES = Number(min=0, max=1e12, min_open=True)
@@ -57,7 +92,7 @@ class Output(click.Path):
         return path
 
 
-INPUT_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+INPUT_FILE = Input()
 OUTPUT_FILE = Output()
 OUTPUT_FOLDER = Output(folder=True)
 
@@ -136,11 +171,11 @@ def apart(options: Mapping[str, object]) -> None:
 
 
 gap_option = click.option(
-    "--gap", type=Number(min=0), default=1e-3, show_default=True,
+    "--gap", type=Fraction("0.05 for 5 %"), default=1e-3, show_default=True, metavar="FRACTION",
     help="Relative gap between the bounds of each person's problem, (upper - lower) / |lower|, that is small enough.",
 )  # fmt: skip
 time_limit_option = click.option(
-    "--time-limit", type=Number(min=0, max=1e9, min_open=True), default=300.0, show_default=True, metavar="SECONDS",
+    "--time-limit", type=Seconds(), default=300.0, show_default=True, metavar="SECONDS",
     help="Time for an instance, or for a bound. What is known by then is reported.",
 )  # fmt: skip
 jobs_option = click.option(

@@ -27,8 +27,8 @@ GROUPS = {
         "--trusted-proxy", "--bridge", "--data", "--log-format",
     ),
     "Run": (
-        "--episodes", "--value-episodes", "--episode", "--repeats", "--baseline", "--samples", "--gap", "--time-limit",
-        "--memory-limit", "--verify", "--most-values", "--jobs", "--scheduler", "--resume", "--seed",
+        "--episodes", "--value-episodes", "--episode", "--repeats", "--baseline", "--difference", "--samples", "--gap",
+        "--time-limit", "--memory-limit", "--verify", "--most-values", "--jobs", "--scheduler", "--resume", "--seed",
     ),
     "Output": (
         "--out", "--write-population", "--size-limit", "--leaves", "--trace", "--figure", "--figures",

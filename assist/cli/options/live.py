@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,6 +11,7 @@ import click
 from planner import Instance, find_instances
 from planner.batch.results_folder import SolveOptions
 from planner.system.errors import InputFileError, expected
+from planner.system.files import read_json
 
 from ...declare.catalogue import catalogue
 from ...declare.declared import names_of
@@ -160,10 +160,12 @@ def changed_settings(
         events: list[TeamEvent] = []
         if file is not None:
             try:
-                distance = json.loads(file.read_text(encoding="utf-8"))
+                distance = read_json(file)
                 if np.asarray(distance, dtype=float).tolist() != session.distance:
                     events.append(Rearranged(distance=distance))
-            except (OSError, TypeError, ValueError) as error:
+            except InputFileError as error:
+                raise ValueError(f"distances {error}") from None
+            except (TypeError, ValueError) as error:
                 raise ValueError(f"distances {file}: {error}") from None
         chosen = settings.get("tasks", {}).items()
         events += [Began(person=name, task=task) for name, task in chosen if tasks[name] != task]

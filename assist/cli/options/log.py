@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 folds_option = click.option(
     "--folds", type=click.IntRange(2), default=8, show_default=True,
-    help="Number of groups of people, each of which is predicted from the others.",
+    help="Number of groups of people, each of which is predicted from the others; at most one for each person.",
 )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planner.system.errors import expected
+from planner.system.files import no_such
 
 from ...people.user_code import parse
 from ...team.policy_names import POLICIES
@@ -38,7 +39,7 @@ class PolicyName(click.ParamType):  # type: ignore[type-arg]
             if place is None:
                 self.fail(f"'{value}'; {expected(value, POLICIES, ', or FILE.py:FUNCTION')}", param, ctx)
             if not place[0].is_file():
-                self.fail(f"{place[0]}: no such file", param, ctx)
+                self.fail(f"{place[0]}: {no_such(place[0])}", param, ctx)
         return str(value)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -10,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BeforeValidator, Field
 
 from planner.batch.results_folder import SolveOptions
+from planner.system.files import read_json
 
 from ...declare.declared import (
     Beside,
@@ -79,10 +79,7 @@ def record_of(file: Path) -> dict[str, Any]:
     ValueError
         The file is none.
     """
-    try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"{file}: {error.strerror}") from None
+    record = read_json(file)
     return record if isinstance(record, dict) else {}
 
 

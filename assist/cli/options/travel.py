@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from planner.system.files import read_json
+
 if TYPE_CHECKING:
     from ...person.settings import Setting
     from ...person.travel import Travel
@@ -18,14 +20,13 @@ def travel_of(setting: Setting, humans: int, distances: str | None) -> Travel:
     if distances is None:
         return setting.travel(humans)
     try:
-        table = json.loads(Path(distances).read_text(encoding="utf-8"))
+        table = read_json(Path(distances))
         if not isinstance(table, list) or not all(isinstance(row, list) for row in table):
             raise ValueError("expected a list of lists of numbers")
         for cell in (cell for row in table for cell in row):
             if not isinstance(cell, int | float) or isinstance(cell, bool):
                 raise ValueError(f"{json.dumps(cell)}: expected a number")  # noqa: TRY004
         return setting.travel(humans, table)
-    except OSError as error:
-        raise click.UsageError(f"distances: {distances}: {error.strerror}") from None
     except ValueError as error:
-        raise click.UsageError(f"distances: {distances}: {error}") from None
+        told = str(error).removeprefix(f"{distances}:")
+        raise click.UsageError(f"distances: {distances}:{' ' * (told == str(error))}{told}") from None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from planner.system.errors import InputFileError, expected
+from planner.system.files import no_such
 
 from ...declare.declared import names_of
 from ...declare.options import Given
@@ -43,7 +44,7 @@ class RuleName(click.ParamType):  # type: ignore[type-arg]
             if place is None:
                 self.fail(f"'{value}'; {expected(value, RULES, ', or FILE.py:RULE')}", param, ctx)
             if not place[0].is_file():
-                self.fail(f"{place[0]}: no such file", param, ctx)
+                self.fail(f"{place[0]}: {no_such(place[0])}", param, ctx)
         return str(value)
 
 

@@ -79,7 +79,8 @@ def show_comparison(compared: Comparison, files: ComparisonFiles, figures: Path 
         return
     reference, people = compared.scores[0].model, len(compared.people)
     of_difference = f"minus {reference} ({compared.level:.0%} interval)"
-    head, rows = ("model", "nats per choice", of_difference, "p, corrected", "better for", "parameters"), []
+    nats_head = "nats per choice ± standard error"
+    head, rows = ("model", nats_head, of_difference, "p, corrected", "better for", "parameters"), []
     for row in compared.scores:
         paired = corrected = better = "-"
         if row.difference is not None and row.interval is not None:

@@ -107,14 +107,15 @@ def _table_of(people: FittedPeople) -> Iterator[list[str]]:
         record = people[name]
         every, m = record.estimates, record.misconception
         cells = [
-            "-" if name not in every else _interval(value, every[name].interval, every[name].open_above)
-            for name, value in (("beta", record.beta), ("theta", record.theta), ("eta", record.eta))
+            interval_of(value, every[name].interval, every[name].open_above, digits=digits) if name in every else "-"
+            for name, value, digits in (("beta", record.beta, 2), ("theta", record.theta, 2), ("eta", record.eta, 3))
         ]
-        cells += [f"{record.actions}", f"{record.suboptimal_actions}", f"{record.log_likelihood:.2f}"]
+        cells += [f"{record.actions}", _counted(record.suboptimal_actions), f"{record.log_likelihood:.2f}"]
         cells.append("-" if record.check.p is None else f"{record.check.p:.3f}")
         if m is not None:
-            cells.append(_interval(m.sigma, m.interval, m.open_above))
-        cells += [_interval(one.value, one.interval, one.open_above) for one in map(every.__getitem__, record.weights)]
+            cells.append(interval_of(m.sigma, m.interval, m.open_above))
+        weights = [every[weight] for weight in record.weights]
+        cells += [interval_of(one.value, one.interval, one.open_above) for one in weights]
         yield [name, *cells]
 
 
@@ -133,7 +134,7 @@ def _lines_of(people: FittedPeople, found: PopulationFit | None) -> Iterable[str
     for name, (mean, deviation) in found.weights.items():
         yield f"{whose}: the weight of {name} is normal, mean {mean:.2f}, standard deviation {deviation:.2f}"
     if found.eta is not None:
-        yield f"{whose}: eta {found.eta:.2f}"
+        yield f"{whose}: eta {found.eta:.3f}"
 
 
 def _everybody(people: FittedPeople) -> list[str]:
@@ -142,6 +143,14 @@ def _everybody(people: FittedPeople) -> list[str]:
     return sorted([*people, *people.unknown], key=in_order)
 
 
-def _interval(value: float | None, interval: tuple[float, float], open_above: bool) -> str:
-    shown = "?" if value is None else f"{value:.2f}"
-    return f"{shown} ({interval[0]:.2f} to {interval[1]:.2f}{'+' if open_above else ''})"
+def _counted(actions: float) -> str:
+    """Return a number of actions, which is a mean where the goal is not known."""
+    return f"{actions}" if isinstance(actions, int) else f"{actions:.1f}"
+
+
+def interval_of(
+    value: float | None, interval: tuple[float, float], open_above: bool = False, *, digits: int = 2
+) -> str:
+    """Return an estimate with its interval, both with so many digits; a value that nothing is known of is `?`."""
+    shown = "?" if value is None else f"{value:.{digits}f}"
+    return f"{shown} ({interval[0]:.{digits}f} to {interval[1]:.{digits}f}{'+' if open_above else ''})"

@@ -10,7 +10,7 @@ import click
 from planner.system.files import write_records
 
 from ..terminal.console import ExitCode, fail, print_json, print_table
-from .people_estimates import FitFiles, write_population
+from .people_estimates import FitFiles, interval_of, write_population
 
 if TYPE_CHECKING:
     from ...learning.advice_log import AdviceLog
@@ -60,20 +60,19 @@ def _show_influence(found: InfluenceFit, files: FitFiles) -> None:
         return
     rows = [
         [
-            one.person, f"{one.followed} of {one.suggestions}", _interval(one.theta_first, one.theta_first_interval),
-            _interval(one.theta, one.theta_interval), _interval(one.beta, one.beta_interval),
+            one.person, f"{one.followed} of {one.suggestions}", interval_of(one.theta_first, one.theta_first_interval),
+            interval_of(one.theta, one.theta_interval), interval_of(one.beta, one.beta_interval),
         ]
         for one in found.people
     ]  # fmt: skip
     print_table(("person", "followed", "theta at first", "theta at last", "beta"), rows, width=160)
-    fitted = {name: _interval(found.parameters[name], ends) for name, ends in found.intervals.items()}
+    known = {name: None if name in found.unidentified else found.parameters[name] for name in found.intervals}
+    fitted = {name: interval_of(known[name], ends, digits=3) for name, ends in found.intervals.items()}
     numbers = "".join(f", {name} {value}" for name, value in fitted.items())
     click.echo(f"trust rule {found.rule}{numbers}; log likelihood {found.log_likelihood:.3f}")
+    for name in found.unidentified:
+        click.echo(f"these actions say nothing about {name}")
     click.echo(f"population of {len(found.people)}: {_numbers(vars(found.population))}")
-
-
-def _interval(value: float, interval: tuple[float, float]) -> str:
-    return f"{value:.2f} ({interval[0]:.2f} to {interval[1]:.2f})"
 
 
 def _numbers(parameters: Mapping[str, float]) -> str:

@@ -16,7 +16,7 @@ import click
 
 from planner import LimitError, PDDLError
 from planner.grounding.fast_downward import FastDownwardError
-from planner.system.errors import InputFileError, MissingExtraError
+from planner.system.errors import InputFileError, MissingExtraError, in_words
 from planner.system.signs import VisibleText, visible
 from planner.system.threads import NO_MORE_THREADS
 
@@ -66,7 +66,7 @@ def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
     except OSError as error:
         if isinstance(error, BrokenPipeError) and error.filename is None:
             raise  # the reader closed the pipe; click exits silently
-        fail(_said(error), ExitCode.FAILED)
+        fail(in_words(error), ExitCode.FAILED)
     except KeyboardInterrupt as error:
         fail(interrupted, _code_of(error))
 
@@ -105,12 +105,6 @@ def end_after_showing(error: KeyboardInterrupt) -> None:
 def _code_of(error: KeyboardInterrupt) -> int:
     """Return the exit code of an interrupted command, as shells report it: 128 and the number of the signal."""
     return 128 + int(error.args[0] if error.args else signal.SIGINT)
-
-
-def _said(error: OSError) -> str:
-    """Return a system error as one line; some libraries raise it without its fields."""
-    what = error.strerror or " ".join(str(error).split()) or type(error).__name__
-    return what if error.filename is None else f"{error.filename}: {what}"
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.system.errors import InputFileError
-from planner.system.files import atomic
+from planner.system.files import atomic, read_json
 
 from ...declare.catalogue import catalogue
 from ..userstudy.export import REGISTERED
@@ -81,9 +81,11 @@ def _recorded(file: Path) -> dict[str, Any]:
         The file is none.
     """
     try:
-        record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        record: dict[str, Any] = read_json(file)
         datetime.fromisoformat(record["registered"])
         return record | {"study": record["study"], "text": str(record["text"]), "analysis": dict(record["analysis"])}
+    except InputFileError:
+        raise
     except (ValueError, KeyError, TypeError) as error:
         raise InputFileError.of(file, None, f"not a preregistration: {error}") from None
 

@@ -146,8 +146,7 @@ class Forecast:
         the period.
         """
         study = self.study
-        size = 1 if study.group is None else study.group.size
-        each = size if study.is_within else size * len(study.conditions)
+        each = self._each
         units = None if study.participants is None else study.participants // each
         for one in (one.name for one in study.conditions if one.name != study.reference):
             spread, expected = self._difference(one)
@@ -157,6 +156,24 @@ class Forecast:
                 actions=_known(g * spread), expected=_known(expected),
                 needed=self._needed(one, expected / spread, each),
             )  # fmt: skip
+
+    def participants(self, difference: float) -> Iterator[tuple[str, int | None]]:
+        """Yield how many participants show a difference from the reference in actions per task, for each condition.
+
+        It is None where more than `MOST` are needed, or where no task can be simulated.
+
+        Parameters
+        ----------
+        difference : float
+        """
+        for one in (one.name for one in self.study.conditions if one.name != self.study.reference):
+            yield one, self._needed(one, difference / self._difference(one)[0], self._each)
+
+    @property
+    def _each(self) -> int:
+        """The number of participants that a unit in each of two compared conditions takes."""
+        size = 1 if self.study.group is None else self.study.group.size
+        return size if self.study.is_within else size * len(self.study.conditions)
 
     def _needed(self, condition: str, size: float, each: int) -> int | None:
         """Return the number of participants who show a standardised difference, where a unit takes `each` of them."""

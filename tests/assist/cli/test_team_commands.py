@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -276,6 +277,37 @@ def test_what_cannot_be_is_said_before_the_work_begins(
     assert (result.exit_code, result.stdout) == (code, "")
     assert words in result.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("bound", TINY, "--humans", 2, "--gap", 5), "5; expected a fraction from 0 to 1, such as 0.05 for 5 %"),
+        (("policy", TINY, "--gap", "5%"), "5%; expected a fraction from 0 to 1, such as 0.05 for 5 %"),
+        (("solve", TINY, "--time-limit", "5min"), "5min; expected a number of seconds, above 0"),
+        (("simulate", TINY, "--humans", 2, "--set", "gama=1"), "Error: --set gama: unknown; did you mean 'gamma'?"),
+        (("simulate", TINY, "--humans", 2, "--population", "empty.json"), "empty.json: the file is empty; expected"),
+        (("simulate", TINY, "--humans", 2, "--population", "cut.json"), "cut.json:2: not JSON (column 5: Expecting"),
+        (("simulate", TINY, "--humans", 2, "--population", "epty.json"), "no such file; did you mean 'empty.json'?"),
+        (("simulate", TINY, "--humans", 2, "--setting", "own"), "own: no such file; did you mean 'own.toml'?"),
+        (("simulate", TINY, "--humans", 2, "--policy", "min.py:f"), "min.py: no such file; did you mean 'mine.py'?"),
+        (("simulate", TINY, "--humans", 2, "--set", "distances=cut.json"), "distances: cut.json:2: not JSON"),
+        (("fit", TINY, "epty.json"), "epty.json: no such file; did you mean 'empty.json'?"),
+        (("solve", "./mine.pdl"), "mine.pdl: no such file or folder; did you mean 'mine.pddl'?"),
+        (("compare", TINY, "empty.json"), "expected models or rules first, such as kitassist compare models"),
+    ],
+)
+def test_a_wrong_number_or_name_is_told_with_the_right_form(
+    options: tuple[object, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in {"empty.json": "", "cut.json": '{\n"a":', "own.toml": "", "mine.py": "", "mine.pddl": ""}.items():
+        Path(name).write_text(text)
+    result = invoke(*options)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words in " ".join(result.stderr.split())
+    assert not re.search("Errno|Expecting value: line", result.stderr)
 
 
 def test_a_bound_where_everybody_has_finished_is_zero(tmp_path: Path) -> None:

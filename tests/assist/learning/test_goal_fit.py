@@ -123,6 +123,26 @@ def test_the_posterior_over_goals_is_that_of_infer_goals() -> None:
     assert certain.beta_interval == pytest.approx(one.beta_interval, rel=1e-3)
 
 
+@pytest.mark.cases
+def test_mistakes_are_counted_with_each_goal_by_its_probability() -> None:
+    """A first action that leads to two goals alike is no mistake that depends on which of them is named first."""
+    for one in fitted().values():
+        o, shares = one.observations, one.goal_posteriors()
+        names = [episode for episode, begins in zip(np.array(o.episodes)[o.begins.cumsum() - 1], o.begins, strict=True)]
+        wrong = {name: each.mistake for name, each in zip(o.goals.names, o.goals.each, strict=True)}
+        mean = sum(shares[episode][name] * wrong[name][i] for i, episode in enumerate(names) for name in wrong)
+        assert one.suboptimal_actions == pytest.approx(mean)
+        assert one.as_dict()["suboptimal_actions"] == one.suboptimal_actions
+    tables = recorded()[0].tables
+    step = {"person": "p", "episode": "1", "step": 0, "suggestion": None}
+    first = next(row["action"] for row in Log.of([step | {"action": "(fetch box-a)"}]).records())
+    in_either_order = [
+        fit({name: tables[name] for name in order}, Log.of([step | {"action": first}]), METHOD)["p"].suboptimal_actions
+        for order in (sorted(tables), sorted(tables, reverse=True))
+    ]
+    assert in_either_order[0] == pytest.approx(in_either_order[1])
+
+
 def test_the_command(tmp_path: Path) -> None:
     kits, log, people = ROOT / "docs" / "examples" / "kits", tmp_path / "log.jsonl", tmp_path / "people.json"
     given = [kits / "travel.pddl", "--goals", kits, "--humans", "2", "--pool", "3", "--episodes", "2"]

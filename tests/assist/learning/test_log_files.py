@@ -484,3 +484,54 @@ def test_an_action_that_never_changes_anything_can_be_dropped(tmp_path: Path) ->
     recording, faults = replay(log_of(rows), rooms, drop=["(go b b)"])
     assert (len(recording), faults) == (2, [])
     assert len(replay(log_of(rows), rooms, drop=["go b"])[0]) == 1  # all that begin so
+
+
+class Frame:
+    """A data frame, as far as a log asks for it."""
+
+    def __init__(self, *names: str) -> None:
+        self.columns = names
+
+    def to_dict(self, how: str) -> list[dict[str, object]]:
+        assert how == "records"
+        return [dict.fromkeys(self.columns, 1)] * 3
+
+
+@pytest.mark.cases
+def test_a_frame_without_a_column_is_told_as_a_table_is() -> None:
+    log = Log.of(Frame("worker", "episode", "step", "action"))  # type: ignore[arg-type]
+    (fault,) = log.faults
+    assert "no column is called person; expected person, episode, step, action" in str(fault)
+    assert "with one of worker, episode, step, action" in str(fault)
+
+
+@pytest.mark.cases
+def test_one_column_has_one_role(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(HEAD + ROWS)
+    with pytest.raises(ValueError, match="columns suggestion=action: 'action' is the column of the action already"):
+        read_log(tmp_path / "log.csv", columns={"suggestion": "action"})
+    (tmp_path / "log.csv").write_text((HEAD + ROWS).replace("person", "place"))
+    log = read_log(tmp_path / "log.csv", columns={"person": "place"})
+    assert [(entry.person, entry.place) for entry in log.entries] == [("ann", None)] * 3
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", ["no recorded actions; expected a line for each, as JSON or in a table"]),
+        (HEAD, ["no recorded actions; expected a line for each, as JSON or in a table"]),
+        ((HEAD + ROWS).replace("step", "number"), ["no column is called step; ", "no line can be used"]),
+        ((HEAD + ROWS).replace("(fetch", "(fetch(").replace("(place", "(place(").replace("(return", "(return("),
+         ["opens 2 and closes 1 brackets", "0 of 1 episodes are used", "no episode can be used"]),
+    ],
+    ids=["nothing", "names", "no step", "brackets"],
+)  # fmt: skip
+def test_what_makes_a_log_useless_is_said_once(tmp_path: Path, text: str, said: list[str]) -> None:
+    (tmp_path / "log.csv").write_text(text)
+    done = invoke("fit", "kitting/tiny", tmp_path / "log.csv")
+    found = done.stderr.splitlines()
+    assert done.exit_code == 1
+    for words in said:
+        assert sum(words in line for line in found) == 1
+    assert len(set(found)) == len(found)

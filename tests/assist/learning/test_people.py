@@ -97,7 +97,7 @@ def test_what_is_not_identified_has_no_value(tiny: Table, tmp_path: Path) -> Non
     assert (shown["eta"], shown["eta_interval"], shown["eta_open"]) == (None, [0.0, 1.0], ["below", "above"])
     file = write_log(tmp_path / "log.jsonl", lines(*PLAN, told={1: PLAN[1]}))
     result = CliRunner().invoke(main, ["fit", str(TINY), str(file)])
-    assert "? (0.00 to 1.00+)" in result.stdout
+    assert "? (0.000 to 1.000+)" in result.stdout
     silent = fit(tiny, Log.of(lines(FETCH)))["ann"]
     assert (silent.beta, silent.theta, silent.theta_interval) == (None, None, None)
 

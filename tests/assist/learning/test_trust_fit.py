@@ -196,6 +196,8 @@ def test_a_parameter_that_the_log_does_not_depend_on_has_the_whole_range() -> No
     """Where all suggestions are optimal choices, nobody sees one that is wrong."""
     found = fit_influence(seen(recorded(outcome(0.3, 0.5), 6, 8, 5, good=1.0)), "outcome")
     assert found.intervals["loss"] == families(Method())["outcome"].ranges["loss"]
+    assert (found.unidentified, found.as_dict()["unidentified"]) == (("loss",), ("loss",))
+    assert repr(found).endswith("loss ?>")
 
 
 def test_one_episode_is_the_same_carried_or_not() -> None:

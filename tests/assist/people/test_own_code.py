@@ -15,6 +15,7 @@ from conftest import ROOT, thinned
 
 import assist
 from assist.cli import main
+from assist.people import user_code
 from assist.people.terms import TERMS
 from assist.people.trust_rules import EquationSeven, LogitSteps, Reliability
 from assist.people.user_code import UserCodeError
@@ -254,3 +255,26 @@ def test_the_command_says_what_is_wrong_and_ends_with_1(tmp_path: Path) -> None:
     assert (run.exit_code, run.output.strip().endswith("all 13 trials passed")) == (0, True)
     with pytest.raises(UserCodeError, match=r"expected FILE\.py:NAME"):
         assist.check("attention")
+
+
+@pytest.mark.cases
+def test_code_in_a_second_file_is_refused_with_what_is_expected(tmp_path: Path) -> None:
+    """Records of studies contain one file, so that a second one would be lost from them."""
+    (tmp_path / "helping.py").touch()
+    (tmp_path / "mine.py").write_text("from helping import best\n")
+    with pytest.raises(
+        UserCodeError, match=r"mine\.py:1: ModuleNotFoundError: .*'helping' is beside this file: expected"
+    ):
+        user_code.load(tmp_path / "mine.py", "best")
+    (tmp_path / "mine.py").write_text("import no_such_package\n")
+    with pytest.raises(UserCodeError, match=r"No module named 'no_such_package'$"):
+        user_code.load(tmp_path / "mine.py", "best")
+
+
+@pytest.mark.cases
+def test_a_misspelt_function_is_told_with_the_right_one(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("from math import sqrt\ndef furthest_first(team): ...\n")
+    with pytest.raises(UserCodeError, match=r"has no function 'furthest'; did you mean 'furthest_first'\?"):
+        user_code.load(tmp_path / "mine.py", "furthest")
+    with pytest.raises(UserCodeError, match=r"has no function 'x'; expected one of furthest_first$"):
+        user_code.load(tmp_path / "mine.py", "x")

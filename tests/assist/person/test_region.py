@@ -386,7 +386,7 @@ def test_the_command_cuts_down_what_is_too_large() -> None:
     [
         (["unsolvable.pddl"], 1, "the goal cannot be reached"),
         (["tiny.pddl", "--set", "gamma=1"], 2, "gamma: 1; expected a number above 0 and below 1"),
-        (["tiny.pddl", "--gap", "-1"], 2, "-1.0 is not in the range"),
+        (["tiny.pddl", "--gap", "-1"], 2, "-1; expected a fraction from 0 to 1"),
         (["tiny.pddl", "--out", "policy.txt"], 2, "expected a name that ends in .npz"),
         (["absent.pddl"], 2, "absent.pddl"),
     ],

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 import sys
 from importlib.metadata import version
 from itertools import combinations, permutations
@@ -647,6 +648,25 @@ def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: p
     for options, wrong in (((), "expected --data DIR"), (("--check", "--links", file), "cannot be combined")):
         refused = invoke("study-prepare", file, *options)
         assert (refused.exit_code, wrong in refused.stderr) == (2, True)
+
+
+@pytest.mark.cases
+def test_participants_who_show_a_difference_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
+    for text in (CONFIRMED, WITHIN):
+        file = written(tmp_path / "study.toml", text.replace("seed = 3", "seed = 3\nparticipants = 24"))
+        (shown,) = json.loads(invoke("study-prepare", file, "--check").stdout)["sensitivity"]
+
+        def counted(difference: float, file: Path = file) -> int:
+            said = invoke("study-prepare", file, "--check", "--difference", difference).stderr
+            (found,) = re.findall(r"attention minus none: \S+ actions per task take ([\d,]+) participants", said)
+            return int(found.replace(",", ""))
+
+        assert counted(1.001 * shown["actions"]) == 24
+        assert counted(abs(shown["expected"])) == shown["needed"]
+        assert 3 * 24 < counted(shown["actions"] / 2) < 5 * 24
+    refused = invoke("study-prepare", file, "--data", tmp_path, "--links", file, "--difference", 2)
+    assert "--difference has no effect with --links" in refused.stderr
 
 
 def test_links_of_participants_are_signed_by_a_command(tmp_path: Path) -> None:
