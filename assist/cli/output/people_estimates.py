@@ -96,9 +96,11 @@ def write_population(found: PopulationFit, file: Path, sigma: Range = (0.0, 0.0)
 
 def _table_of(people: FittedPeople) -> Iterator[list[str]]:
     """Yield the head and the rows of a table of the estimates of every person in the log, with intervals."""
-    head = ["person", "beta", "theta", "eta", "actions", "suboptimal", "log-likelihood", "check p"]
-    head += ["sigma"] * any(record.misconception is not None for record in people.values())
-    head += next((record.weights for record in people.values()), {})
+    level = people.method.level
+    head = ["person", *(interval_head(name, level) for name in ("beta", "theta", "eta"))]
+    head += ["actions", "suboptimal", "log-likelihood", "check p"]
+    head += [interval_head("sigma", level)] * any(record.misconception is not None for record in people.values())
+    head += [interval_head(name, level) for name in next((record.weights for record in people.values()), {})]
     yield head
     for name in _everybody(people):
         if name not in people:
@@ -146,6 +148,11 @@ def _everybody(people: FittedPeople) -> list[str]:
 def _counted(actions: float) -> str:
     """Return a number of actions, which is a mean where the goal is not known."""
     return f"{actions}" if isinstance(actions, int) else f"{actions:.1f}"
+
+
+def interval_head(name: str, level: float) -> str:
+    """Return the head of a column of estimates with intervals of a level."""
+    return f"{name} ({level:.0%} interval)"
 
 
 def interval_of(

@@ -10,7 +10,7 @@ import click
 from planner.system.files import write_records
 
 from ..terminal.console import ExitCode, fail, print_json, print_table
-from .people_estimates import FitFiles, interval_of, write_population
+from .people_estimates import FitFiles, interval_head, interval_of, write_population
 
 if TYPE_CHECKING:
     from ...learning.advice_log import AdviceLog
@@ -30,7 +30,7 @@ def show_influence(seen: Evidence, rule: str, method: Method, setting: EstimateS
         fail(f"{seen.log.name}: {error}", ExitCode.FAILED)
     if files.population:
         write_population(found.distribution(), files.population)
-    _show_influence(found, files)
+    _show_influence(found, method.level, files)
     return seen.complete
 
 
@@ -51,7 +51,7 @@ def show_advice(log: AdviceLog, name: str, rule: str, files: FitFiles) -> None:
     click.echo(f"trust rule {rule}: {_numbers(found.parameters)}")
 
 
-def _show_influence(found: InfluenceFit, files: FitFiles) -> None:
+def _show_influence(found: InfluenceFit, level: float, files: FitFiles) -> None:
     document = found.as_dict()
     if files.out:
         write_records(files.out, document["people"])
@@ -65,7 +65,8 @@ def _show_influence(found: InfluenceFit, files: FitFiles) -> None:
         ]
         for one in found.people
     ]  # fmt: skip
-    print_table(("person", "followed", "theta at first", "theta at last", "beta"), rows, width=160)
+    head = [interval_head(name, level) for name in ("theta at first", "theta at last", "beta")]
+    print_table(("person", "followed", *head), rows, width=160)
     known = {name: None if name in found.unidentified else found.parameters[name] for name in found.intervals}
     fitted = {name: interval_of(known[name], ends, digits=3) for name, ends in found.intervals.items()}
     numbers = "".join(f", {name} {value}" for name, value in fitted.items())
