@@ -17,7 +17,7 @@ from ..declare.declared import is_declared
 from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, of_table, sees_silence
 from .user_code import UserCodeError, UserTrustRule, parse
 
-THETAS, EVENTS = 11, 16
+THETAS, EVENTS = SHAPE = 11, 16
 GAINS = (-2.0, 0.0, 1.0)
 MOST_COUNTS = 4
 """Counts of outcomes that are tried."""
@@ -147,17 +147,34 @@ def fault_of_updates(rule: Any, least: float = 0.0) -> str | None:
                 to, after = moved(rule, theta, counts, _events(gain))
             if not np.array_equal(theta, before):
                 return "changes the array theta; expected a new array"
-            if (fault := _fault_of(rule, np.asarray(to, dtype=float), theta, gain, count)) is not None:
+            found = np.asarray(to, dtype=float)
+            fault = _fault_of_shape(found) or _out_of_range(found, np.asarray(after), most)
+            if fault is not None:
                 return fault
-            counted = np.asarray(after)
-            if not ((counted >= 0) & (counted <= most)).all():
-                return f"counts to {counted[(counted < 0) | (counted > most)][0]:g}; expected 0 to {most}"
-    for to, counted in _after_silence(rule, theta):
-        if not ((to >= 0) & (to <= 1)).all():
-            return f"leads to theta {to[~((to >= 0) & (to <= 1))][0]:g} in silence; expected a number from 0 to 1"
-        if not ((counted >= 0) & (counted <= most)).all():
-            return f"counts to {counted[(counted < 0) | (counted > most)][0]:g} in silence; expected 0 to {most}"
+            if (fault := _fault_of_each(rule, np.broadcast_to(found, SHAPE), theta, gain, count)) is not None:
+                return fault
+    in_silence = (_out_of_range(to, counted, most, " in silence") for to, counted in _after_silence(rule, theta))
+    return next(filter(None, in_silence), None)
+
+
+def _fault_of_shape(to: Any) -> str | None:
+    """Return what is wrong with the shape of the thetas after all events of a gain."""
+    import numpy as np
+
+    try:
+        np.broadcast_to(to, SHAPE)
+    except ValueError:
+        return f"returns shape {to.shape} for {THETAS} thetas and {EVENTS} events; expected {SHAPE}, by broadcasting"
     return None
+
+
+def _out_of_range(to: Any, counted: Any, most: int, when: str = "") -> str | None:
+    """Return which of some thetas or counts is out of its range; `when` says after which steps they are."""
+    inside = (to >= 0) & (to <= 1)
+    if not inside.all():
+        return f"leads to theta {to[~inside][0]:g}{when}; expected a number from 0 to 1"
+    inside = (counted >= 0) & (counted <= most)
+    return None if inside.all() else f"counts to {counted[~inside][0]:g}{when}; expected 0 to {most}"
 
 
 def _after_silence(rule: Any, theta: Any) -> Iterator[tuple[Any, Any]]:
@@ -171,19 +188,12 @@ def _after_silence(rule: Any, theta: Any) -> Iterator[tuple[Any, Any]]:
         yield np.asarray(to, dtype=float), np.asarray(after, dtype=np.int64)
 
 
-def _fault_of(rule: Any, to: Any, theta: Any, gain: float, count: int) -> str | None:
-    """Return what is wrong with the thetas after all events of a gain, by themselves and beside those of one event."""
+def _fault_of_each(rule: Any, to: Any, theta: Any, gain: float, count: int) -> str | None:
+    """Return what is wrong with the thetas after all events of a gain beside each other, and beside those of one."""
     import numpy as np
 
     from .perceived_suggestions import moved
 
-    shape = THETAS, EVENTS
-    try:
-        to = np.broadcast_to(to, shape)
-    except ValueError:
-        return f"returns shape {to.shape} for {THETAS} thetas and {EVENTS} events; expected {shape}, by broadcasting"
-    if not ((to >= 0) & (to <= 1)).all():
-        return f"leads to theta {to[~((to >= 0) & (to <= 1))][0]:g}; expected a number from 0 to 1"
     agrees, _, _, right = _bits()
     if not rule.uses_answer:
         same = to[:, _same_answers(agrees, right)]
