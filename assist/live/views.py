@@ -47,10 +47,18 @@ class PersonView(View):
     ] = None
     cost_to_go: Annotated[
         AnyNumber | None,
-        Field(description="Exact, in cost units; null in a dead end, and for participants unless the study shows it."),
+        Field(
+            description="Exact, in cost units; of several goals, that of the most probable one. Null in a dead end, "
+            "and for participants unless the study shows it."
+        ),
     ] = None
     steps: Annotated[Whole, Field(description="Number of the person's actions in this task.")] = 0
-    finished: Annotated[Truth, Field(description="Whether the goal of the task is reached.")] = False
+    finished: Annotated[
+        Truth,
+        Field(
+            description="Whether the goal of the task is reached, or probably is, where goal or state are uncertain."
+        ),
+    ] = False
     explained: Annotated[Truth, Field(description="Whether the explanation can be asked for.")] = False
     seq: Annotated[
         Whole, Field(description="Number of the last event that changed the view; the larger of two is newer.")

@@ -7,6 +7,7 @@ import random
 import sys
 from typing import Any
 
+from assist.declare import Refusal
 from assist.web.client import Client
 
 
@@ -41,4 +42,8 @@ def take_part(link: str, visitor: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(take_part(sys.argv[1], f"visitor {random.random()}")["study"]["completion"])
+    try:
+        last = take_part(sys.argv[1], f"visitor {random.random()}")["study"]
+    except Refusal as error:  # the study is full, or the link is wrong
+        sys.exit(str(error))
+    print(last.get("completion") or f"not completed: {last['kind']}")

@@ -19,6 +19,7 @@ states are never all known, they are numbered in the order of their first use.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -202,6 +203,12 @@ class StateSpace:
     def follow(self, plan: Sequence[str], state: int | None = None) -> int:
         """Return the state after a sequence of ground actions, from the initial state unless another is given.
 
+        Parameters
+        ----------
+        plan : sequence of str
+            Actions as `(name argument ...)`, `name argument ...` or `name(argument, ...)`.
+        state : int, optional
+
         Raises
         ------
         ValueError
@@ -210,12 +217,19 @@ class StateSpace:
         at = self.initial if state is None else state
         for step, action in enumerate(plan):
             options = self.options(at)
-            if action not in options:
+            after = options.get(action, options.get(_in_pddl(action)))
+            if after is None:
                 raise ValueError(
                     f"step {step}: {action} is not applicable; applicable are {', '.join(options) or 'no actions'}"
                 )
-            at = options[action]
+            at = after
         return at
+
+
+def _in_pddl(action: str) -> str:
+    """Return an action of any notation as `(name argument ...)`."""
+    words = re.findall(r"[^\s(),]+", action.lower())
+    return f"({' '.join(words)})"
 
 
 UNREACHED = np.iinfo(np.int64).max

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import runpy
 import ssl
+import subprocess
+import sys
 import time
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
@@ -91,11 +93,15 @@ def test_a_study_completes_behind_a_proxy_that_fails_twice(
 def test_the_example_of_the_documentation_takes_part_in_a_study(tiny: Table, tmp_path: Path) -> None:
     listening = listen("127.0.0.1", 0)
     base = address(listening)
-    study, tasks = read(written(tmp_path / "study.toml", PLAN)), {"tiny": tiny, "practice": tiny}
+    text = PLAN.replace("seed = 3", "seed = 3\nparticipants = 1")
+    study, tasks = read(written(tmp_path / "study.toml", text)), {"tiny": tiny, "practice": tiny}
     session = StudySession(study, tasks, tmp_path / "data")
     service = StudyService(session, AccessTokens.kept(tmp_path / "data" / "secret", base))
-    example = runpy.run_path(str(ROOT / "docs" / "examples" / "take_part.py"))
+    file = ROOT / "docs" / "examples" / "take_part.py"
+    example = runpy.run_path(str(file))
     with running(make_app(service, more=[router]), listening):
         last = example["take_part"](service.join_url(), "a visitor")
+        late = subprocess.run([sys.executable, file, service.join_url()], capture_output=True, text=True, timeout=60)
+    assert (late.returncode, late.stderr.count("\n")) == (1, 1), late.stderr
     assert last["study"]["completion"]
     assert [one["status"] for one in tables(study, tmp_path / "data" / "journal.sqlite").participants] == ["done"]

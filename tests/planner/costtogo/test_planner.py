@@ -143,6 +143,13 @@ def test_follow_refuses_an_inapplicable_action(tiny: Table) -> None:
         ValueError, match=r"step 1: \(fetch box-b\) is not applicable; applicable are .*\(return box-a\)"
     ):
         tiny.space.follow(["(fetch box-a)", "(fetch box-b)"])
+    with pytest.raises(ValueError, match=r"step 0: fetsh box-a is not applicable; applicable are \(fetch box-a\)"):
+        tiny.space.follow(["fetsh box-a"])
+
+
+def test_follow_takes_actions_in_any_notation(tiny: Table) -> None:
+    there = tiny.space.follow(["(fetch box-a)", "(place hammer slot-1 box-a)"])
+    assert tiny.space.follow(["fetch box-a", "Place(hammer, slot-1, box-a)"]) == there
 
 
 def test_a_limit_may_be_longer_than_the_system_can_wait() -> None:
