@@ -129,8 +129,13 @@ class LiveTask:
         if words == (STAND_STILL[1:-1],):
             return WAIT
         if words not in self.matcher.number:
-            raise Refusal("other", why=self.matcher.unknown(words) or self._incomplete(action, words))
+            raise Refusal("other", why=self._unknown(words) or self._incomplete(action, words))
         return self.matcher.number[words]
+
+    def _unknown(self, words: Words) -> str | None:
+        """Return why words match no action of the task, with the nearest one; None if they may match one."""
+        why, meant = self.matcher.unknown(words), self.matcher.meant(words)
+        return why if why is None or meant is None else f"{why}; did you mean ({' '.join(meant)})?"
 
     def _incomplete(self, action: str, words: Words) -> str:
         """Return what is wrong with the beginning of an action where it may be any that begins so."""

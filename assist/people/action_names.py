@@ -103,7 +103,7 @@ class Matcher:
         why = self.unknown(words)
         if why is None:
             raise unmatched(f"{_shown(words)} is not applicable here; nearest in spelling {near}")
-        meant = self._meant(words)
+        meant = self.meant(words)
         if meant is not None and all(self.words[option][: len(meant)] != meant for option in options):
             near = f"of all actions: {_shown(meant)}; {near}"
         raise unmatched(f"{why}; nearest in spelling {near}")
@@ -121,7 +121,7 @@ class Matcher:
         )
         return f"{_shown(words)} is no action of the task{why}"
 
-    def _meant(self, words: Words) -> Words | None:
+    def meant(self, words: Words) -> Words | None:
         """Return the words of an action of the task that are the most similar ones; None if there is none."""
         names = {words[0] for words in self.words}
         near = [nearest(word, self.objects if place else names) for place, word in enumerate(words)]
