@@ -7,6 +7,7 @@ import json
 import re
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -576,7 +577,9 @@ def test_what_a_request_misspells_is_told(web: Web) -> None:
 
 
 @pytest.mark.cases
-def test_a_bridge_that_fails_to_say_why_it_waits_stops_no_checks(tiny: Table, tmp_path: Path) -> None:
+def test_a_bridge_that_fails_to_say_why_it_waits_stops_no_checks(
+    tiny: Table, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     class Broken:
         name, counts, connected = "line", dict[str, int](), True
 
@@ -584,9 +587,19 @@ def test_a_bridge_that_fails_to_say_why_it_waits_stops_no_checks(tiny: Table, tm
         def waits(self) -> list[str]:
             raise OSError("no such queue")
 
+    class Worse:
+        name, counts, waits = "line", dict[str, int](), ["never said"]
+
+        @property
+        def connected(self) -> bool:
+            raise OSError("no such line")
+
     web = Web(tiny, tmp_path, check=0.01)
     with web.client, web.watch(None) as team:
         assert team.view()["problems"] == []
+        web.service.bridges["line"] = Worse()  # type: ignore[assignment]
+        while "it is not known what keeps the service from its work" not in caplog.text:
+            time.sleep(0.01)
         web.service.bridges["line"] = Broken()  # type: ignore[assignment]
         assert team.view()["problems"] == ["line: it is not known what it waits for: no such queue"]
         del web.service.bridges["line"]
