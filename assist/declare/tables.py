@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from planner.system.errors import InputFileError
-from planner.system.files import no_such
+from planner.system.files import bytes_of
 
 from .declared import Beside, DeclarationError, annotation_of, bare, is_declared, marks, names_of, shown, spelt
 
@@ -21,10 +21,7 @@ T = TypeVar("T")
 
 def load(file: Path) -> dict[str, Any]:
     """Read a TOML file, or raise an `InputFileError`. A byte order mark, as some editors write it, is ignored."""
-    try:
-        data = file.read_bytes()
-    except FileNotFoundError:
-        raise InputFileError(f"{file}: {no_such(file)}") from None
+    data = bytes_of(file)
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:

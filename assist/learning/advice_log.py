@@ -19,7 +19,8 @@ from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from planner.system.arrays import read_only
-from planner.system.errors import InputFileError, in_words
+from planner.system.errors import InputFileError
+from planner.system.files import bytes_of
 from planner.system.results import Result
 from planner.system.signs import plain
 
@@ -181,10 +182,7 @@ def read_advice(
 
 def _lines(path: Path, wanted: Iterable[str]) -> list[tuple[int, dict[str, str]]]:
     """Return the cells of each line by the names of columns; those of `Judgement` have their own name there."""
-    try:
-        lines = lines_of(path.read_bytes(), Taken())
-    except OSError as error:
-        raise InputFileError(in_words(error)) from None
+    lines = lines_of(bytes_of(path), Taken())
     (number, head), rows = read_table(lines, (*COLUMNS, OPTIONAL), lambda _: frozenset(), Taken())
     broken = next(((line, row) for line, row in rows if isinstance(row, Broken)), None)
     if broken is not None:

@@ -188,7 +188,7 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[
 
     Raises
     ------
-    OSError
+    InputFileError
         The file cannot be read.
     ValueError
         `columns` has a name that a log does not have, or the file does not.

@@ -19,6 +19,7 @@ from unicodedata import category
 
 import numpy as np
 
+from planner.system.files import bytes_of
 from planner.system.signs import plain
 
 from ..people.action_names import words_of, wrong_form
@@ -66,13 +67,13 @@ def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) 
 
     Raises
     ------
-    OSError
+    InputFileError
         The file cannot be read.
     ValueError
         `columns` has a name that the file does not have.
     """
     taken = Taken()
-    lines = lines_of(file.read_bytes(), taken)
+    lines = lines_of(bytes_of(file), taken)
     texts = [line for line in lines if isinstance(line, str) and line.strip()]
     head = texts[0].strip() if texts else ""
     own = set(_sources(columns).values())

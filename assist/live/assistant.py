@@ -287,6 +287,10 @@ class Assistant(Reports, Desk):
             team.populations |= {name: population_of(known) for name, known in saved["populations"].items()}
             for record in saved["records"]:
                 team._again(TeamRecord.of(json.dumps(record)))
+        except json.JSONDecodeError as error:
+            raise ValueError(
+                f"this is no saved team: line {error.lineno} is no JSON; expected a text of to_json"
+            ) from None
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"this is no saved team that can be restored: {error}") from error
         return team

@@ -91,7 +91,7 @@ def load(
         problem = instance_finder.instance(problem, domain)
         if not problem.problem.exists():
             raise instances.PDDLError(
-                problem.problem, None, f"no such problem file{instance_finder.bundled_near(problem.problem)}"
+                problem.problem, None, instance_finder.not_there(problem.problem, "no such problem file")
             )
     if not isinstance(problem, instances.Instance):
         if not any(kind.__module__.startswith("unified_planning.") for kind in type(problem).__mro__):

@@ -76,6 +76,12 @@ def bundled_near(name: str | Path) -> str:
     return f"; with the package come {', '.join(alike)}" if alike else ""
 
 
+def not_there(path: Path, what: str) -> str:
+    """Return what is said of a path that is neither a user's nor bundled, with the names that were perhaps meant."""
+    near = bundled_near(path)
+    return f"{what}{near}" if near else no_such(path, what)
+
+
 def bundled_tasks() -> list[BundledTask]:
     """Return the bundled tasks, sorted by name."""
     return [
@@ -312,8 +318,7 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
             if not files and any(mark in str(path) for mark in "*?["):
                 raise InputFileError(f"{name}: no problem file matches")
             if not files and not (files := bundled_files(path)):
-                what = f"no such file or folder{bundled_near(path)}"
-                raise InputFileError(f"{name}: {what if ';' in what else no_such(path, what)}")
+                raise InputFileError(f"{name}: {not_there(path, 'no such file or folder')}")
         found.update((_instance(file, domain, heads), None) for file in files)
     domains = {one.domain.resolve() for one in found if not heads[one.problem].is_domain}
     return [one for one in found if one.problem.resolve() not in domains]

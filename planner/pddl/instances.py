@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from ..system.files import no_such
+
 
 class PDDLError(ValueError):
     """A PDDL file is invalid or not supported.
@@ -80,7 +82,7 @@ def text(file: Path, kind: str) -> str:
     try:
         raw = file.read_bytes()
     except FileNotFoundError:
-        raise PDDLError(file, None, f"no such {kind} file") from None
+        raise PDDLError(file, None, no_such(file, f"no such {kind} file")) from None
     except OSError as error:
         raise PDDLError(file, None, f"cannot be read: {error.strerror}") from None
     for name, marks in MARKS.items():

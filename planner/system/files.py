@@ -173,6 +173,26 @@ def read_records(file: Path) -> list[dict[str, Any]]:
     return found
 
 
+def bytes_of(file: Path) -> bytes:
+    """Return the bytes of a file that a user has named.
+
+    Parameters
+    ----------
+    file : Path
+
+    Raises
+    ------
+    InputFileError
+        There is no such file, or it cannot be read.
+    """
+    try:
+        return file.read_bytes()
+    except FileNotFoundError:
+        raise InputFileError(f"{file}: {no_such(file)}") from None
+    except OSError as error:
+        raise InputFileError(in_words(error)) from None
+
+
 def read_json(file: Path) -> Any:
     """Return the content of a JSON file.
 
@@ -185,12 +205,7 @@ def read_json(file: Path) -> Any:
     InputFileError
         There is no such file, it cannot be read, or it has no JSON.
     """
-    try:
-        data = file.read_bytes()
-    except FileNotFoundError:
-        raise InputFileError(f"{file}: {no_such(file)}") from None
-    except OSError as error:
-        raise InputFileError(in_words(error)) from None
+    data = bytes_of(file)
     if not data.strip():
         raise InputFileError.of(file, None, "the file is empty; expected JSON")
     try:
@@ -215,8 +230,9 @@ def no_such(file: Path, what: str = "no such file") -> str:
     near: list[str] = []
     with suppress(OSError, ValueError):  # there is no such folder, or no path can have this name
         others = sorted(one.name for one in file.parent.iterdir() if one.name != file.name)
-        near = [name for name in others if Path(name).stem == file.name]
-        near = near or difflib.get_close_matches(file.name, others, n=1, cutoff=0.75)
+        stems = difflib.get_close_matches(file.stem, {Path(name).stem for name in others}, n=5, cutoff=0.75)
+        alike = [name for name in others if Path(name).stem in stems]
+        near = difflib.get_close_matches(file.name, alike, n=1, cutoff=0.0)
     return f"{what}; did you mean '{file.parent / near[0]}'?" if near else what
 
 

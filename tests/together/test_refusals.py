@@ -128,6 +128,22 @@ def in_bytes(folder: Path, content: bytes) -> None:
 
 
 REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
+    "a log that there is not": (
+        lambda g: (g.folder / "morning.csv").touch() or fit(g.table, g.folder / "mornings.csv"),
+        InputFileError, "mornings.csv: no such file; did you mean",
+    ),
+    "a log that is a folder": (lambda g: fit(g.table, g.folder), InputFileError, "Is a directory"),
+    "a task that there is not": (
+        lambda g: (g.folder / "kits.pddl").touch() or load(g.folder / "kit.pddl"),
+        PDDLError, "kit.pddl: no such problem file; did you mean",
+    ),
+    "a domain that there is not": (
+        lambda g: (g.folder / "domain.pddl").touch() or load(KITTING / "tiny.pddl", g.folder / "domains.pddl"),
+        PDDLError, "domains.pddl: no such domain file; did you mean",
+    ),
+    "a saved team that is no JSON": (
+        lambda g: Assistant.from_json("", g.table), ValueError, "no saved team: line 1 is no JSON; expected a text of",
+    ),
     "a trust rule for fit": (
         lambda g: learned(g.table, ACTIONS, influence="paper"),
         TypeError, "influence: expected fit_influence(replayed(task, log), rule)",

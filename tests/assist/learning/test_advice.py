@@ -298,7 +298,7 @@ def test_a_fault_is_told_with_its_line(tmp_path: Path, rows: list[Any], more: di
     more = {name: value for name, value in more.items() if name != "rows"}
     with pytest.raises(InputFileError, match=re.escape(words)):
         read_advice(write(tmp_path / "log.csv", *rows, **more), rows=chosen)
-    with pytest.raises(InputFileError, match="No such file"):
+    with pytest.raises(InputFileError, match="no such file"):
         read_advice(tmp_path / "none.csv")
 
 
