@@ -23,21 +23,31 @@ FIRST = "attention"
 """The policy of a team unless another one is named."""
 
 
-class PolicyName(click.ParamType):  # type: ignore[type-arg]
-    """The name of a team policy, or FILE.py:FUNCTION for a user's own."""
+class NameOrFile(click.ParamType):  # type: ignore[type-arg]
+    """One of some names, or a user's own object as FILE.py:NAME.
 
-    name = "policy"
+    Parameters
+    ----------
+    what : str
+        What it names; in capitals it is the placeholder of an option.
+    names : iterable of str
+    own : str
+        What of a file is named, in capitals.
+    """
+
+    def __init__(self, what: str, names: Iterable[str], own: str) -> None:
+        self.name, self._names, self._own = what, tuple(names), own
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
         """Return the placeholder; the option's text lists the values."""
-        return "POLICY"
+        return self.name.upper()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Check a value. The user's function is imported later."""
-        if value not in POLICIES:
+        """Check a value. What is the user's own is imported later."""
+        if value not in self._names:
             place = parse(value)
             if place is None:
-                self.fail(f"'{value}'; {expected(value, POLICIES, ', or FILE.py:FUNCTION')}", param, ctx)
+                self.fail(f"'{value}'; {expected(value, self._names, f', or FILE.py:{self._own}')}", param, ctx)
             if not place[0].is_file():
                 self.fail(f"{place[0]}: {no_such(place[0])}", param, ctx)
         return str(value)
@@ -47,7 +57,7 @@ def policy_option(*, several: bool) -> Option[Any]:
     """Return the option `--policy`, which may be repeated where several are compared."""
     more: dict[str, Any] = {"multiple": True, "default": (FIRST,)} if several else {"default": FIRST}
     return click.option(
-        "--policy", "policy", type=PolicyName(), show_default=True,
+        "--policy", "policy", type=NameOrFile("policy", POLICIES, "FUNCTION"), show_default=True,
         help=f"Team policy: {', '.join(POLICIES)}, or FILE.py:FUNCTION.{several * ' Repeat it to compare several.'}",
         **more,
     )  # fmt: skip

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from planner.system.errors import InputFileError, expected
-from planner.system.files import no_such
+from planner.system.errors import InputFileError
 
 from ...declare.declared import names_of
 from ...declare.options import Given
 from ...people.trust_rules import RULES
-from ...people.user_code import parse
 from ..terminal.console import ExitCode, fail
 from .common import INPUT_FILE, is_given, together
+from .policies import NameOrFile
 from .settings import EstimateSetting
 
 if TYPE_CHECKING:
@@ -32,31 +31,17 @@ class AdviceOptions(NamedTuple):
     rows: tuple[str, ...]
 
 
-class RuleName(click.ParamType):  # type: ignore[type-arg]
-    """The name of a trust rule, or FILE.py:RULE for a user's own."""
-
-    name = "rule"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Check a value. The user's rule is loaded later."""
-        if value not in RULES:
-            place = parse(value)
-            if place is None:
-                self.fail(f"'{value}'; {expected(value, RULES, ', or FILE.py:RULE')}", param, ctx)
-            if not place[0].is_file():
-                self.fail(f"{place[0]}: {no_such(place[0])}", param, ctx)
-        return str(value)
-
+RULE_NAME = NameOrFile("rule", RULES, "RULE")
 
 influence_option = click.option(
-    "--influence", "trust", type=RuleName(), metavar="RULE",
+    "--influence", "trust", type=RULE_NAME, metavar="RULE",
     help="Trust rule by which influence (theta) moves, carried from episode to episode (hierarchical model): "
     f"{', '.join(RULES)}, or FILE.py:RULE.",
 )  # fmt: skip
 
 
 rules_option = click.option(
-    "--rule", "chosen", type=RuleName(), metavar="RULE", multiple=True,
+    "--rule", "chosen", type=RULE_NAME, metavar="RULE", multiple=True,
     help="Compare this trust rule with one of a constant theta, in place of all shipped ones; a name or FILE.py:RULE. "
     "May be repeated.",
 )  # fmt: skip
