@@ -133,8 +133,9 @@ class Assistant(Reports, Desk):
             What was taken back by `undo`: the action, None if it was one that perhaps was missed, or the answer.
         """
         number = len(self.records) + 1
-        found = self.take(event, number=number)
-        self.records.append(TeamRecord(n=number, event=event, step=self._step))
+        caused = event.causes(self)
+        found = self.take(event, number=number, caused=caused)
+        self.records.append(TeamRecord(n=number, event=event, caused=caused, step=self._step))
         return found
 
     def recommend_all(self) -> tuple[Advice, ...]:
@@ -297,7 +298,7 @@ class Assistant(Reports, Desk):
 
     def _again(self, record: TeamRecord) -> None:
         """Apply a recorded event, and the advice after it."""
-        self.take(record.event, number=record.n)
+        self.take(record.event, number=record.n, caused=record.caused)
         if record.advices:
             self.follow(record.advices, record.step)
         self.records.append(record)

@@ -1,9 +1,10 @@
 """What an event is: its fields, how it is reported, what it changes, and what remains of it.
 
 A class declares the fields of the event, and where it is reported over HTTP. `recorded` checks that it is possible now
-and completes it; `change` is what it does to a team, also when a record is applied again; `remains` is what is kept of
-it when a person's records are erased; `take_back` undoes it, which people ask for with `Undone`. The kinds are in
-`assist.live.events`, and those of studies in `assist.studies.userstudy.events`.
+and completes it; `change` is what it does to a team, also when a record is applied again; `causes` says which further
+events follow from it; `remains` is what is kept of it when a person's records are erased; `take_back` undoes it, which
+people ask for with `Undone`. The kinds are in `assist.live.events`, and those of studies in
+`assist.studies.userstudy.events`.
 """
 
 from __future__ import annotations
@@ -158,6 +159,18 @@ class TeamEvent(Event):
         """
         return self
 
+    def causes(self, desk: Desk) -> tuple[TeamEvent, ...]:  # noqa: ARG002
+        """Return the events that it causes for others, in the present state; the record of the event keeps them.
+
+        They happen right after it, and are not taken back or erased with it.
+
+        Raises
+        ------
+        Refusal
+            It is not possible now.
+        """
+        return ()
+
     def change(self, desk: Desk, time: float) -> Any:
         """Change what the robot knows of the team, at this time in seconds; return what was taken back, if anything.
 
@@ -217,7 +230,7 @@ class OfPerson(TeamEvent):
 
 
 class Kept(TeamEvent):
-    """What is kept of an event whose person's records were erased."""
+    """What an event has caused for others, or what is kept of it after its person's records were erased."""
 
     is_shown: ClassVar[bool] = False
 

@@ -145,8 +145,6 @@ class Acted(OfPerson):
     """`seq` of the view on which the person acted; later suggestions are taken as unseen."""
     heard: bool = Field(default=True, json_schema_extra=INTERNAL)
     """Whether the person had seen the open suggestion, if there is one."""
-    shown: tuple[bool, float] | None = Field(default=None, json_schema_extra=INTERNAL)
-    """What neighbours saw of a suggestion: whether it was followed, and what was gained, in cost units."""
 
     path: ClassVar[str | None] = "/api/people/{person}/actions"
     nothing: ClassVar[str | None] = "nothing_done"
@@ -158,19 +156,19 @@ class Acted(OfPerson):
         super().recorded(desk)
         heard = desk.has_heard(self.person, self.action, self.followed, self.seq)
         seen = desk.seen_of(self.person, self.action, self.likelihoods, self.missed)
-        shown = desk.seen.shown_by(desk.known(self.person), self.action, heard=heard)
-        found = {"seq": None, "heard": heard, "action": self.action and in_pddl(self.action), "shown": shown, **seen}
+        found = {"seq": None, "heard": heard, "action": self.action and in_pddl(self.action), **seen}
         return self.model_copy(update=found)
+
+    def causes(self, desk: Desk) -> tuple[TeamEvent, ...]:
+        """Return what others see of the answer to a suggestion."""
+        shown = desk.seen.shown_by(desk.known(self.person), self.action, heard=self.heard)
+        return () if shown is None else (Witnessed(person=self.person, followed=shown[0], gain=shown[1]),)
 
     def change(self, desk: Desk, time: float) -> None:
         """Update the state of the person's task and the belief in the person."""
         desk.acted(
             self.person, self.action, heard=self.heard, likelihoods=self.likelihoods, missed=self.missed, time=time
         )
-
-    def remains(self, label: str) -> TeamEvent:
-        """Keep what neighbours saw, since it is a part of what is believed of them."""
-        return super().remains(label) if self.shown is None else Witnessed(person=label, shown=self.shown)
 
     def take_back(self, desk: Desk) -> str | None:
         """Return to the state and belief before the action. The suggestion before it is open again."""
@@ -188,16 +186,13 @@ class Undone(OfPerson):
     kind: Literal["undone"] = "undone"
     of: str = Field(default="acted", max_length=40)
     """The kind of event that is taken back, the last of this kind in their task."""
-    shown: bool = Field(default=False, json_schema_extra=INTERNAL)
-    """Whether neighbours had seen it."""
 
     path: ClassVar[str | None] = "/api/people/{person}/undo"
 
-    def recorded(self, desk: Desk) -> Self | None:
-        """Note whether neighbours had seen it."""
-        super().recorded(desk)
-        shown = self.of == "acted" and desk.seen.was_shown(desk.known(self.person))
-        return self.model_copy(update={"shown": shown}) if shown else self
+    def causes(self, desk: Desk) -> tuple[TeamEvent, ...]:
+        """Return that others have not seen an action, if they had."""
+        number = desk.seen.shown_last(desk.known(self.person)) if self.of == "acted" else None
+        return () if number is None else (Unwitnessed(person=self.person, number=number),)
 
     def change(self, desk: Desk, time: float) -> Any:  # noqa: ARG002
         """Take back the last event of this kind."""
@@ -212,10 +207,6 @@ class Undone(OfPerson):
         taken = done[place].take_back(desk)
         del done[place]
         return taken
-
-    def remains(self, label: str) -> TeamEvent:
-        """Keep that neighbours did not see it."""
-        return Witnessed(person=label) if self.shown else super().remains(label)
 
     def entry(self) -> dict[str, Any]:
         """Return what was taken back."""
@@ -371,18 +362,30 @@ class Vacant(Kept):
 
 
 class Witnessed(Kept):
-    """What neighbours saw of a person whose records were erased, or that it was taken back."""
+    """What those who see a person saw of their answer to a suggestion."""
 
     kind: Literal["witnessed"] = "witnessed"
     person: str
-    """The label of the person."""
-    shown: tuple[bool, float] | None = None
-    """As in `Acted`; null if what was seen last was taken back."""
+    """The person, or their label."""
+    followed: bool
+    """Whether they followed it."""
+    gain: float
+    """What came of their action, in cost units."""
 
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
-        """Move what is believed of those who saw it."""
-        entry = desk.entry(self.person)
-        if self.shown is None:
-            desk.seen.take_back(entry)
-        else:
-            desk.seen.let_see(entry, self.shown)
+        """Move what is believed of those who see the person."""
+        desk.seen.let_see(desk.entry(self.person), self.followed, self.gain)
+
+
+class Unwitnessed(Kept):
+    """An answer to a suggestion that nobody has seen after all, as it was taken back."""
+
+    kind: Literal["unwitnessed"] = "unwitnessed"
+    person: str
+    """The person, or their label."""
+    number: Whole
+    """Number of the event that was seen."""
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Believe of those who saw it what would be believed without it."""
+        desk.seen.take_back(desk.entry(self.person), self.number)

@@ -6,7 +6,7 @@ The classes of `events` call the methods that change it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Any, Protocol
@@ -57,6 +57,9 @@ class Change(Protocol):
     @property
     def can_be_taken_back(self) -> bool:
         """Whether it can be undone."""
+
+    def causes(self, desk: Any) -> tuple[Change, ...]:
+        """Return what it causes for others."""
 
     def change(self, desk: Any, time: float) -> Any:
         """Change what the robots know; return what was taken back, if anything."""
@@ -115,8 +118,8 @@ class Knowledge:
         """Use the tasks that another one with the same arguments has solved."""
         self._decisions.solved = other._decisions.solved
 
-    def take(self, event: Change, time: float = 0.0, *, number: int) -> Any:
-        """Apply an event with a number; return what was taken back, if anything.
+    def take(self, event: Change, time: float = 0.0, *, number: int, caused: Iterable[Change] = ()) -> Any:
+        """Apply an event with a number, and what it caused for others; return what was taken back, if anything.
 
         Raises
         ------
@@ -126,6 +129,8 @@ class Knowledge:
         self.roster.event, self.roster.time = number, time
         self.roster.touched.clear()
         found = event.change(self, time)
+        for one in caused:
+            one.change(self, time)
         self._advice = None
         if event.concerned is not None:
             entry = self.entry(event.concerned)
@@ -260,7 +265,6 @@ class Knowledge:
         if self.roster.stopped(record):
             raise InapplicableError("reached", person=person)
         seen = seen_of(problem, self.setting, action, likelihoods, missed)
-        shown = self.seen.shown_by(record, action, heard=heard)
         if seen is None and not is_uncertain(record, self.setting.observation):
             slot = problem.slot(row, action or "")
             to = problem.after(row, slot)
@@ -279,8 +283,6 @@ class Knowledge:
         record.close_questions()
         stays = missed is not None and missed < 1 / 2
         self.roster.put(record, to, erred=erred, offer=offer if stays else None)
-        if shown is not None:
-            self.seen.let_see(record, shown)
 
     def answered(self, person: str, answer: str | bool | None) -> None:
         """Record a person's answer, after which the open question is closed; errors as in `Reports.answer`."""
@@ -323,8 +325,6 @@ class Knowledge:
             The action; None if it was one that perhaps was missed.
         """
         record = self.known(person)
-        if self.seen.was_shown(record):
-            self.seen.take_back(record)
         last, roster = record.undo(), self.roster
         again = None if last.offer is None else last.offer._replace(number=roster.event, time=roster.time)
         record.news[:] = [replace(one, steps=min(one.steps, len(record.steps))) for one in record.news]

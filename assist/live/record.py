@@ -95,11 +95,16 @@ def _for_somebody(advices: tuple[Advice, ...]) -> tuple[Advice, ...]:
     return advices
 
 
+RecordedEvent = Annotated[SerializeAsAny[TeamEvent], PlainValidator(partial(event_of, TeamEvent))]
+
+
 class TeamRecord(Record):
     """The record of an event of a team."""
 
-    event: Annotated[SerializeAsAny[TeamEvent], PlainValidator(partial(event_of, TeamEvent))]
+    event: RecordedEvent
     """What happened."""
+    caused: tuple[RecordedEvent, ...] = ()
+    """What it caused for others; empty for most."""
     step: Whole = Field(ge=0)
     """Number of decisions of the robots, this one included."""
     advices: Annotated[tuple[Advice, ...], AfterValidator(_for_somebody)] = ()
@@ -109,7 +114,7 @@ class TeamRecord(Record):
 
     @model_serializer(mode="wrap")
     def _short(self, given: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {name: value for name, value in given(self).items() if name != "advices" or value}
+        return {name: value for name, value in given(self).items() if value or name not in ("advices", "caused")}
 
     def touched(self) -> set[str]:
         """Return the people whose views the event and the decision have changed."""
@@ -127,8 +132,10 @@ class TeamRecord(Record):
         before : float
             Time of the event before: the person's own times are theirs.
         """
-        event = self.event.remains(label) if self.event.who == person else self.event
-        changes: dict[str, Any] = {} if event is self.event else {"event": event, "time": before}
+        changes: dict[str, Any] = {}
+        if self.event.who == person:
+            caused = tuple(one.remains(label) for one in self.caused)
+            changes = {"event": self.event.remains(label), "caused": caused, "time": before}
         return self.model_copy(
             update={**changes, "advices": tuple(_unnamed(one, person, label) for one in self.advices)}
         )

@@ -6,6 +6,7 @@ back from those who saw it; what these saw in a task that they have finished sta
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +22,6 @@ from ..team.seen import gained
 from .beliefs import believe_again
 from .explanation import Remark
 from .roster import News, Roster, RosterEntry
-
-Shown = tuple[bool, float]
-"""What neighbours see of an action after a suggestion: whether it was followed, and the gain of it, in cost units."""
 
 
 @dataclass(frozen=True)
@@ -113,10 +111,11 @@ class SeenSuggestions:
         for other, _ in self.onlookers(record):
             self._team.changed(other)
 
-    def shown_by(self, record: RosterEntry, action: str | None, *, heard: bool) -> Shown | None:
+    def shown_by(self, record: RosterEntry, action: str | None, *, heard: bool) -> tuple[bool, float] | None:
         """Return what neighbours see if a person does an action; None if they see nothing that moves them.
 
-        `heard` is whether the person had seen the open suggestion.
+        That is whether the open suggestion is followed, and what comes of the action, in cost units. `heard` is whether
+        the person had seen it.
 
         Raises
         ------
@@ -137,33 +136,32 @@ class SeenSuggestions:
         gain = float(gained(problem.policy, np.array([row]), np.array([problem.after(row, slot)]))[0])
         return slot == suggested, min(max(gain, -MOST), MOST)
 
-    def let_see(self, record: RosterEntry, what: Shown) -> None:
-        """Let those who are present and see a person see what came of a suggestion."""
+    def let_see(self, record: RosterEntry, followed: bool, gain: float) -> None:
+        """Let those who are present and see a person see what came of a suggestion by the present event."""
         for other, weight in self.onlookers(record):
-            one = Saw(len(other.steps), record.name, self._team.event, *what, weight)
+            one = Saw(len(other.steps), record.name, self._team.event, followed, gain, weight)
             one.tell(self._team, other, self._setting)
             other.news.append(one)
             self._team.changed(other)
 
-    def take_back(self, record: RosterEntry) -> None:
-        """Let nobody have seen what they saw last of a person."""
-        last = self._last(record)
+    def shown_last(self, record: RosterEntry) -> int | None:
+        """Return the number of the event of a person's last action, if somebody has seen it in their present task."""
+        last = record.order[-1] if record.steps else None
+        return last if any(self._who_saw(record, last)) else None
+
+    def take_back(self, record: RosterEntry, number: int) -> None:
+        """Let nobody have seen what they saw of a person by an event."""
+        for other in self._who_saw(record, number):
+            other.news[:] = [one for one in other.news if not _is_of(one, record, number)]
+            believe_again(self._team, other, self._setting, offer=other.offer)
+
+    def _who_saw(self, record: RosterEntry, number: int | None) -> Iterator[RosterEntry]:
+        """Yield those who have seen an event of a person in their present task."""
         for other in self._team.records:
-            gone = [one for one in self._seen(other) if (one.neighbour, one.number) == (record.name, last)]
-            if gone:
-                other.news[:] = [one for one in other.news if one not in gone]
-                believe_again(self._team, other, self._setting, offer=other.offer)
+            if any(_is_of(one, record, number) for one in other.news):
+                yield other
 
-    def was_shown(self, record: RosterEntry) -> bool:
-        """Return whether somebody has seen the last action of a person in their task."""
-        return len(record.steps) > 0 and record.order[-1] == self._last(record)
 
-    def _last(self, record: RosterEntry) -> int:
-        """Return the number of the last event of a person that somebody has seen; -1 if nobody has seen anything."""
-        seen = (one for other in self._team.records for one in self._seen(other))
-        return max((one.number for one in seen if one.neighbour == record.name), default=-1)
-
-    @staticmethod
-    def _seen(record: RosterEntry) -> list[Saw]:
-        """Return what a person has seen in their task."""
-        return [one for one in record.news if isinstance(one, Saw)]
+def _is_of(news: News, record: RosterEntry, number: int | None) -> bool:
+    """Return whether it is what somebody saw of a person by an event."""
+    return isinstance(news, Saw) and (news.neighbour, news.number) == (record.name, number)

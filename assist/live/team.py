@@ -93,7 +93,8 @@ class Team(History[TeamRecord]):
         if found is None:
             return None
         step, time = self.desk.step, round(time, 3)
-        self.desk.take(found, time, number=self.count + 1)
+        caused = found.causes(self.desk)
+        self.desk.take(found, time, number=self.count + 1, caused=caused)
         advices = self._decided()
         self._known.clear()
         if isinstance(event, Elapsed) and advices == self.advices:
@@ -102,7 +103,8 @@ class Team(History[TeamRecord]):
             return None
         changed = any(advice.person is not None for advice in advices) or advices != self.advices
         record = TeamRecord(
-            n=self.count + 1, time=time, event=found, step=self.desk.step, advices=advices if changed else ()
+            n=self.count + 1, time=time, event=found, caused=caused, step=self.desk.step,
+            advices=advices if changed else (),
         )  # fmt: skip
         self._note(record, advices)
         return record
@@ -122,7 +124,7 @@ class Team(History[TeamRecord]):
 
     def again(self, record: TeamRecord) -> None:
         """Apply a recorded event, including the robots' decision."""
-        self.desk.take(record.event, record.time, number=record.n)
+        self.desk.take(record.event, record.time, number=record.n, caused=record.caused)
         advices = record.advices or self.advices
         if len(advices) != self.robots:
             raise ValueError(f"advice of {len(advices)} robots; expected {self.robots}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -190,6 +191,28 @@ def test_an_erased_neighbour_changes_nothing_for_the_others(tiny: Table, tmp_pat
     assert left.beliefs() == erased.beliefs()
     left.close()
     erased.close()
+    stored = (tmp_path / "erased.sqlite").read_bytes()
+    assert b'"witnessed"' in stored
+    assert (b'"unwitnessed"' in stored) == taken_back
+    assert b'"person":"b"' not in stored
+
+
+def test_what_others_saw_stands_in_the_record_of_the_event_alone(tiny: Table) -> None:
+    """It is found once, when the event happens: a saved team reads it, and what a person does stays their own."""
+    team = team_of(tiny)
+    act = team.person("ann").applicable[0]
+    tell(team, "ann", act)
+    team.observe("ann", act)
+    team.undo("ann")
+    team.observe("cat", act)
+    done, undone, silent = team.records[-3:]
+    assert [(one.kind, one.who) for one in done.caused] == [("witnessed", "ann")]
+    assert undone.caused[0].model_dump() == {"kind": "unwitnessed", "person": "ann", "number": done.n}
+    assert (silent.caused, "caused" in silent.text()) == ((), False)
+    document = json.loads(team.to_json())
+    del document["records"][-2]["caused"]  # as if it had not been taken back for those who saw it
+    again = Assistant.from_json(json.dumps(document), tiny)
+    assert again.person("ben").theta.mean > team.person("ben").theta.mean
 
 
 def test_an_explanation_says_what_was_seen_and_what_those_who_see_it_gain(tiny: Table) -> None:
