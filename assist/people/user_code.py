@@ -1,4 +1,4 @@
-"""Functions and trust rules of the user in a Python file, written `FILE.py:NAME`.
+"""Functions and trust rules of the user in a Python file, written `FILE.py:NAME`. It may import others of its folder.
 
 An error in them is reported in one line, with its file and line.
 """
@@ -8,11 +8,14 @@ from __future__ import annotations
 import importlib.util
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
+from modulefinder import ModuleFinder
 from pathlib import Path
+from threading import RLock
 from typing import TYPE_CHECKING, Any, Self
 
 from planner.system.errors import expected
@@ -23,6 +26,9 @@ from ..declare.declared import UserCodeError as UserCodeError
 if TYPE_CHECKING:
     from .choices import Choices
     from .decision import Bools, Floats, Ints
+
+_LOADING = RLock()
+"""Held while a folder is searched for what a file imports."""
 
 
 def parse(text: str, folder: Path | None = None) -> tuple[Path, str] | None:
@@ -55,9 +61,10 @@ def load(file: Path, name: str) -> Any:
     module = importlib.util.module_from_spec(spec)
     sys.modules[module_name] = module
     try:
-        spec.loader.exec_module(module)
+        with _importable(file.parent.resolve()):
+            spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise UserCodeError(f"{described(error, file)}{_beside(error, file)}") from error
+        raise UserCodeError(described(error, file)) from error
     function = getattr(module, name, None)
     if isinstance(function, type):
         function = object_of(function, f"{file}:{name}")
@@ -70,12 +77,31 @@ def load(file: Path, name: str) -> Any:
     return function
 
 
-def _beside(error: BaseException, file: Path) -> str:
-    """Return what is expected where a file imports another one from its folder, which records would not contain."""
-    name = error.name if isinstance(error, ModuleNotFoundError) else None
-    if name is None or not any((file.parent / f"{name}{end}").exists() for end in (".py", "")):
-        return ""
-    return f"; '{name}' is beside this file: expected all of your code in one file, or {name} installed as a package"
+@contextmanager
+def _importable(folder: Path) -> Iterator[None]:
+    """Let a file import others of its folder. They are forgotten afterwards: another folder may have the same names."""
+    with _LOADING:
+        before = {name.partition(".")[0] for name in sys.modules}
+        importlib.invalidate_caches()
+        sys.path.insert(0, str(folder))
+        try:
+            yield
+        finally:
+            sys.path.remove(str(folder))
+            for name, module in list(sys.modules.items()):
+                top, origin = name.partition(".")[0], Path(getattr(module, "__file__", None) or "")
+                if top not in before and (folder / f"{top}.py" == origin or origin.is_relative_to(folder / top)):
+                    del sys.modules[name]
+
+
+def sources(file: Path) -> tuple[Path, ...]:
+    """Return a Python file and those of its folder that it imports, also through each other."""
+    found = ModuleFinder([str(file.parent)])
+    try:
+        found.run_script(str(file))
+    except SyntaxError:  # it is told when the file is loaded
+        return (file,)
+    return tuple(sorted({Path(one.__file__) for one in found.modules.values() if one.__file__}))
 
 
 def object_of(given: type, name: str) -> Any:
@@ -94,12 +120,16 @@ def object_of(given: type, name: str) -> Any:
 
 def described(error: Exception | SystemExit, file: Path) -> str:
     """Return one line that describes an error and its line in the user's file."""
-    line = error.lineno if isinstance(error, SyntaxError) else None
+    line, said = None, str(error)
+    if isinstance(error, SyntaxError) and Path(error.filename or "").resolve() == file.resolve():
+        line, said = error.lineno, error.msg
     for frame in traceback.extract_tb(error.__traceback__):
         if Path(frame.filename) == file or Path(frame.filename).resolve() == file.resolve():
             line = frame.lineno
-    text = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
+    text = " ".join(said.split())
     kind = "" if isinstance(error, UserCodeError) else type(error).__name__
+    if isinstance(error, ModuleNotFoundError) and (file.parent / f"{error.name}.py").exists():
+        text += "; expected its import at the beginning of the file, where the file's folder is searched"
     what = ": ".join(filter(None, (kind, text)))
     return f"{file}:{line}: {what}" if line else f"{file}: {what}"
 

@@ -39,7 +39,7 @@ from ..declare.declared import (
     plain,
 )  # fmt: skip
 from ..people.ranges import Population
-from ..people.user_code import UserObject
+from ..people.user_code import UserObject, sources
 from ..person.settings import Setting, own_rules
 from ..team.policy_names import BASELINES
 
@@ -298,7 +298,7 @@ class Study(StudyPlan):
             *(rule for setting in settings for rule in own_rules(setting).values()),
         )
         own = [*(path for _, (path, _) in self.own_policies), *(m.file for m in named_in if isinstance(m, UserObject))]
-        for path in (*named, *own):
+        for path in (*named, *(source for file in own for source in sources(file))):
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         for _, (_, function) in self.own_policies:
             digest.update(function.encode())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
@@ -21,6 +22,7 @@ from assist.people.trust_rules import EquationSeven, LogitSteps, Reliability
 from assist.people.user_code import UserCodeError
 from assist.studies import own_code_trials
 from assist.team import assigned
+from assist.team.policies import UserPolicy
 
 EXAMPLES = ROOT / "docs" / "examples"
 
@@ -258,17 +260,31 @@ def test_the_command_says_what_is_wrong_and_ends_with_1(tmp_path: Path) -> None:
 
 
 @pytest.mark.cases
-def test_code_in_a_second_file_is_refused_with_what_is_expected(tmp_path: Path) -> None:
-    """Records of studies contain one file, so that a second one would be lost from them."""
-    (tmp_path / "helping.py").touch()
-    (tmp_path / "mine.py").write_text("from helping import best\n")
-    with pytest.raises(
-        UserCodeError, match=r"mine\.py:1: ModuleNotFoundError: .*'helping' is beside this file: expected"
-    ):
-        user_code.load(tmp_path / "mine.py", "best")
-    (tmp_path / "mine.py").write_text("import no_such_package\n")
+def test_a_file_may_import_others_of_its_folder(tmp_path: Path) -> None:
+    """Each folder has its own, they are read anew, and a study goes on only with the same."""
+    for folder in ("a", "b"):
+        (tmp_path / folder / "more").mkdir(parents=True)
+        (tmp_path / folder / "helping.py").write_text(
+            f"from more import last\ndef best(team): return {folder!r} + last\n"
+        )
+        (tmp_path / folder / "more" / "__init__.py").write_text("last = '1'\n")
+        (tmp_path / folder / "mine.py").write_text("from helping import best\n")
+    paths, mine = list(sys.path), tmp_path / "a" / "mine.py"
+    assert [user_code.load(tmp_path / folder / "mine.py", "best")(None) for folder in "ab"] == ["a1", "b1"]
+    (tmp_path / "a" / "more" / "__init__.py").write_text("last = 'two'\n")
+    assert user_code.load(mine, "best")(None) == "atwo"
+    assert (sys.path, {"helping", "more"} & set(sys.modules)) == (paths, set())
+    assert [path.name for path in user_code.sources(mine)] == ["helping.py", "mine.py", "__init__.py"]
+    (tmp_path / "a" / "helping.py").write_text("best =\n")
+    with pytest.raises(UserCodeError, match=r"mine\.py:1: SyntaxError: invalid syntax \(helping\.py, line 1\)$"):
+        user_code.load(mine, "best")
+    assert user_code.sources(mine) == (mine,)
+    mine.write_text("def best(team):\n    import helping\n")
+    with pytest.raises(UserCodeError, match=r"mine\.py:2: ModuleNotFoundError: .*expected its import at the beginning"):
+        UserPolicy.load(mine, "best")(None)  # type: ignore[arg-type]
+    mine.write_text("import no_such_package\n")
     with pytest.raises(UserCodeError, match=r"No module named 'no_such_package'$"):
-        user_code.load(tmp_path / "mine.py", "best")
+        user_code.load(mine, "best")
 
 
 @pytest.mark.cases

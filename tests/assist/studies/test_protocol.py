@@ -165,6 +165,13 @@ def test_the_fingerprint_is_that_of_the_results(tmp_path: Path) -> None:
     with (tmp_path / "tiny.pddl").open("a") as stream:
         stream.write("; a comment\n")
     assert read(write(tmp_path, text)).fingerprint() != first
+    text = text.replace('policies = ["attention"]', 'policies = ["mine.py:mine"]')
+    (tmp_path / "mine.py").write_text("from helping import mine\n")
+    found = set()
+    for content in ("mine = 1\n", "mine = 2\n"):
+        (tmp_path / "helping.py").write_text(content)
+        found.add(read(write(tmp_path, text)).fingerprint())
+    assert len(found) == 2
 
 
 def test_the_shipped_example_is_of_another_domain() -> None:
