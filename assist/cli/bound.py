@@ -11,6 +11,8 @@ import click
 from planner.batch.results_folder import versions
 from planner.system.progress import stages
 
+from ..declare.declared import Whole
+from ..declare.options import Value
 from .options.common import gap_option, jobs_option, json_option, time_limit_option
 from .options.goals import check_questions
 from .options.help import command
@@ -24,13 +26,13 @@ if TYPE_CHECKING:
 
 @command("bound kitting/paper --humans 4 --policy priority")
 @click.option(
-    "--value-episodes", type=click.IntRange(2, 10**8), default=20_000, show_default=True,
+    "--value-episodes", type=Value(Whole, ge=2, le=1e8), default=20_000, show_default=True,
     help="Simulated episodes that estimate each policy's value.",
 )  # fmt: skip
 @gap_option
 @time_limit_option
 @click.option(
-    "--samples", type=click.IntRange(min=0), default=0, show_default=True,
+    "--samples", type=Value(Whole, ge=0), default=0, show_default=True,
     help="Number of sample paths for a tighter bound (95 % confidence; at least 30).",
 )  # fmt: skip
 @jobs_option

@@ -9,7 +9,8 @@ import click
 
 import planner
 
-from .options.common import MEGABYTES, json_option, out_option
+from ..declare.options import Value
+from .options.common import Megabytes, json_option, out_option
 from .options.help import command
 from .options.person import PersonOptions, person_options, person_problem
 from .options.task import costs_of, table_of
@@ -25,7 +26,7 @@ FORMATS = ("pomdpx", "pomdp")
 )  # fmt: skip
 @out_option("a file .pomdpx or .pomdp", required=True)
 @click.option(
-    "--size-limit", type=MEGABYTES, default=500.0, show_default=True, metavar="MB",
+    "--size-limit", type=Value(Megabytes), default=500.0, show_default=True, metavar="MB",
     help="A larger file is not written.",
 )  # fmt: skip
 @click.option(

@@ -11,6 +11,8 @@ import click
 
 from planner.system.errors import InputFileError
 
+from ..declare.declared import Count
+from ..declare.options import Value
 from .options.bridges import bridge_of
 from .options.common import INPUT_FILE
 from .options.config import config_option, configurable, variables_that_set_nothing
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     "--study", type=INPUT_FILE, metavar="FILE.toml", help="Run this user study instead of a team on given tasks."
 )
 @click.option(
-    "--rehearse", type=click.IntRange(1, 1000), metavar="N", help="Rehearse the study with N simulated participants."
+    "--rehearse", type=Value(Count, le=1000), metavar="N", help="Rehearse the study with N simulated participants."
 )
 @click.option("--bridge", type=INPUT_FILE, metavar="FILE.toml", help="Connect the team to MQTT, OPC UA or ROS 2.")
 @listening_options

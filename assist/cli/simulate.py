@@ -13,6 +13,8 @@ from planner.system.files import write_records
 from planner.system.limits import processors
 from planner.system.progress import stages
 
+from ..declare.declared import Count
+from ..declare.options import Value
 from .options.common import OUTPUT_FILE, baseline_option, jobs_option, json_option, out_option, separate_files, together
 from .options.goals import check_questions
 from .options.help import command
@@ -58,9 +60,9 @@ written_options = together(
 
 
 @command("simulate kitting/paper --humans 4 --policy none --policy attention")
-@click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True, help="Number of episodes.")
+@click.option("--episodes", type=Value(Count), default=100, show_default=True, help="Number of episodes.")
 @click.option(
-    "--pool", "size", type=click.IntRange(min=1),
+    "--pool", "size", type=Value(Count),
     help="Number of people from whom teams are drawn.  [default: 12, or K if larger]",
 )  # fmt: skip
 @baseline_option

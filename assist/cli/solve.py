@@ -12,8 +12,10 @@ from planner import find_instances
 from planner.batch.results_folder import DONE, SolveOptions
 from planner.system.limits import processors
 
+from ..declare.declared import Count
+from ..declare.options import Value
 from .options.common import (
-    MEGABYTES,
+    Megabytes,
     domain_option,
     is_given,
     jobs_option,
@@ -35,17 +37,19 @@ from .terminal.console import ExitCode, one_line_errors
 @out_option("a folder for results.jsonl, tables and plans", folder=True)
 @jobs_option
 @time_limit_option
-@click.option("--memory-limit", type=MEGABYTES, metavar="MB", help="Memory for each instance. No limit unless given.")
 @click.option(
-    "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
+    "--memory-limit", type=Value(Megabytes), metavar="MB", help="Memory for each instance. No limit unless given."
+)
+@click.option(
+    "--max-states", type=Value(Count), default=SolveOptions.max_states, show_default=True,
     help="Largest number of states solved exhaustively. Larger tasks are solved in the initial state only.",
 )  # fmt: skip
 @click.option(
-    "--most-values", type=click.IntRange(min=1), default=SolveOptions.most_values, show_default=True,
+    "--most-values", type=Value(Count), default=SolveOptions.most_values, show_default=True,
     help="Largest number of values of one number of the files, such as a stock or a battery.",
 )  # fmt: skip
 @click.option(
-    "--verify", type=click.IntRange(min=1), metavar="N", show_default="20 in a fourth of the search's time",
+    "--verify", type=Value(Count), metavar="N", show_default="20 in a fourth of the search's time",
     help="Number of states compared with Fast Downward's A*, however long it takes.",
 )  # fmt: skip
 @scheduler_option

@@ -10,6 +10,8 @@ import click
 from planner.system.limits import processors
 from planner.system.progress import stages
 
+from ..declare.declared import Count
+from ..declare.options import Value
 from .options.common import baseline_option, jobs_option, json_option, out_option, resume_option, scheduler_option
 from .options.help import command
 from .terminal.console import ExitCode, fail, one_line_errors, print_json, print_table
@@ -22,7 +24,7 @@ from .terminal.console import ExitCode, fail, one_line_errors, print_json, print
 )  # fmt: skip
 @click.option(
     "--repeats",
-    type=click.IntRange(min=1),
+    type=Value(Count),
     metavar="N",
     help="Number of pools of people. The protocol's own number unless given.",
 )

@@ -11,7 +11,9 @@ import click
 
 from planner.batch.results_folder import SolveOptions
 
-from .options.common import INPUT_FILE, Number, data_option
+from ..declare.declared import Number
+from ..declare.options import Value
+from .options.common import INPUT_FILE, data_option
 from .options.help import command
 from .options.listening import public_url_option
 from .options.task import costs_of
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     help="Print a signed link for each participant ID in this file, one a line, instead of registering.",
 )  # fmt: skip
 @click.option(
-    "--difference", type=Number(min=0, max=1e9, min_open=True), metavar="ACTIONS",
+    "--difference", type=Value(Number, gt=0, le=1e9), metavar="ACTIONS",
     help="Also print how many participants show a difference of so many actions per task with a power of 80 %.",
 )  # fmt: skip
 @click.option("--check", is_flag=True, help="Only check the file and the policies, and register nothing.")

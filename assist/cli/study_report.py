@@ -6,13 +6,14 @@ from pathlib import Path
 
 import click
 
+from ..declare.options import Input
 from .options.common import baseline_option, json_option, out_option
 from .options.help import command
 from .terminal.console import ExitCode, fail, print_json, print_table
 
 
 @command("study-report data", "study-report")
-@click.argument("place", metavar="DIR|FILE.zip", type=click.Path(exists=True, path_type=Path))
+@click.argument("place", metavar="DIR|FILE.zip", type=Input(folder=True))
 @out_option("a folder; `report` within DIR, or FILE-report beside FILE.zip, unless given", folder=True)
 @baseline_option
 @json_option

@@ -33,7 +33,7 @@ from typing import (
     overload,
 )
 
-from pydantic import BeforeValidator, ConfigDict, Field, Strict, ValidationError
+from pydantic import BeforeValidator, ConfigDict, Field, Strict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as validated
 from pydantic_core import PydanticCustomError
 
@@ -130,6 +130,7 @@ def _pair(value: Any) -> Any:
 
 Number = Annotated[float, BeforeValidator(_number), Kind("a number")]
 AnyNumber = Annotated[float, Field(allow_inf_nan=True), BeforeValidator(_number), Kind("a number")]
+Seconds = Annotated[float, BeforeValidator(_number), Field(gt=0, le=1e9), Kind("a number of seconds")]
 Whole = Annotated[int, BeforeValidator(whole_number), Kind("a whole number")]
 Truth = Annotated[bool, BeforeValidator(_truth), Kind("true or false")]
 Count = Annotated[Whole, Field(ge=1)]
@@ -212,6 +213,20 @@ class UserCodeError(DeclarationError):
     def within(self, place: Place) -> UserCodeError:
         """Return the fault as one of the code at a place."""
         return UserCodeError(self.right, (*place, *self.place))
+
+
+def checked(kind: Any, value: Any) -> Any:
+    """Return a value as a declared type has it.
+
+    Raises
+    ------
+    DeclarationError
+        The type does not have it.
+    """
+    try:
+        return TypeAdapter(kind, config=CONFIG).validate_python(value)
+    except ValidationError as error:
+        raise DeclarationError.of(kind, error, value) from None
 
 
 UNKNOWN = {"unexpected_keyword_argument", "extra_forbidden"}

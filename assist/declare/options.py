@@ -9,13 +9,15 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING
 from functools import update_wrapper
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Generic, Literal, TypeVar, get_args, get_origin
 
 import click
 from click.core import ParameterSource
+from pydantic import Field
 
 from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
@@ -29,6 +31,7 @@ from .declared import (
     Usual,
     annotation_of,
     bare,
+    checked,
     default_of,
     is_declared,
     marks,
@@ -60,17 +63,34 @@ class Written(click.ParamType):  # type: ignore[type-arg]
         self.name = metavar
 
 
-class Input(click.Path):
-    """An input file. Of one that does not exist, the most similar name in its folder is told."""
+class Value(click.ParamType):  # type: ignore[type-arg]
+    """A value of a declared type, such as `Count`, within limits such as `le=100`."""
 
-    def __init__(self) -> None:
-        super().__init__(exists=True, dir_okay=False, path_type=Path)
+    name = "n"
+
+    def __init__(self, kind: Any, **limits: float) -> None:
+        self.kind = Annotated[kind, Field(**limits)] if limits else kind  # type: ignore[call-overload]
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Read and check a value."""
+        try:
+            return checked(self.kind, value_of(value, self.kind) if isinstance(value, str) else value)
+        except DeclarationError as error:
+            self.fail(f"{value}; expected {error.right}", param, ctx)
+
+
+class Input(click.Path):
+    """An input file, or also a folder. Of one that does not exist, the most similar name in its folder is told."""
+
+    def __init__(self, *, folder: bool = False) -> None:
+        super().__init__(exists=True, dir_okay=folder, path_type=Path)
+        self.missing = f"no such file{' or folder' * folder}"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Parse a path."""
         path = Path(os.fspath(value))
         if os.fspath(value) and not path.exists():
-            self.fail(f"{path}: {no_such(path)}", param, ctx)
+            self.fail(f"{path}: {no_such(path, self.missing)}", param, ctx)
         return Path(os.fsdecode(super().convert(value, param, ctx)))
 
 
@@ -229,6 +249,8 @@ def value_of(text: str, kind: Any) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
+        with suppress(ValueError):
+            return float(text) if inner is float else text  # .5 is no TOML
         return text
 
 

@@ -101,7 +101,7 @@ def sources(file: Path) -> tuple[Path, ...]:
         found.run_script(str(file))
     except SyntaxError:  # it is told when the file is loaded
         return (file,)
-    return tuple(sorted({Path(one.__file__) for one in found.modules.values() if one.__file__}))
+    return tuple(sorted({Path(one.__file__) for one in found.modules.values() if one.__file__}))  # type: ignore[attr-defined]
 
 
 def object_of(given: type, name: str) -> Any:

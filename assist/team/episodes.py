@@ -132,6 +132,9 @@ class Episodes(Result):
     pruned: Floats | None = None
     questions: NDArray[np.int64] | None = None
 
+    def __repr__(self) -> str:
+        return f"<Episodes of {self.summary()}>"
+
     def records(self) -> list[dict[str, Any]]:
         """Return one row: means over episodes, each with its standard error."""
         return self.summary().records()

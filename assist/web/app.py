@@ -58,14 +58,15 @@ def make_app(
     app = FastAPI(
         title="kitassist", summary="The live assistant: whom to help, when, and with which suggestion.",
         version="1", lifespan=lifespan, docs_url=None, redoc_url=None, redirect_slashes=not service.access.root,
-        dependencies=[Depends(known_query)], servers=[{"url": service.access.root}] if service.access.root else None,
+        servers=[{"url": service.access.root}] if service.access.root else None,
     )  # fmt: skip
     app.state.service, app.state.pictures = service, Pictures(str(service.texts.file))
     service.measures.registry.register(metrics.Present(service))
     _says_what_is_wrong(app)
     events = event_routes.event_routes(service.events, service.shown)
     for router in (events, routes.router, metrics.router, streams.router, page_routes.router, *more):
-        app.include_router(router)
+        checked = [] if router is metrics.router else [Depends(known_query)]  # what reads metrics adds its own
+        app.include_router(router, dependencies=checked)
     app.add_middleware(Guard, access=service.access, allowance=allowance, texts=service.texts)
     app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(trusted_proxies))
     return app

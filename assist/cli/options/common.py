@@ -2,75 +2,27 @@
 
 from __future__ import annotations
 
-import math
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import update_wrapper
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import click
 from click.core import ParameterSource
+from pydantic import Field
 
 from planner.system import files
 
-from ...declare.options import Input
+from ...declare.declared import Count, Expected, Kind, Number, Seconds, Seed
+from ...declare.options import Input, Value
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Option = Callable[[Command], Command]
 
 
-class Number(click.FloatRange):
-    """A finite real number, optionally within a range."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Parse and check a value."""
-        found: float = super().convert(value, param, ctx)
-        if not math.isfinite(found):
-            self.fail(f"{value} is not a finite number.", param, ctx)
-        return found
-
-    def _describe_range(self) -> str:
-        return "" if self.min is self.max is None else super()._describe_range()
-
-
-class Fraction(Number):
-    """A fraction, from 0 to 1."""
-
-    name = "fraction"
-
-    def __init__(self, example: str) -> None:
-        super().__init__(min=0, max=1)
-        self.example = example
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Parse and check a value; percent are refused with an example of a fraction."""
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter:
-            self.fail(f"{value}; expected a fraction from 0 to 1, such as {self.example}", param, ctx)
-
-
-class Seconds(Number):
-    """A time in seconds, more than none."""
-
-    name = "seconds"
-
-    def __init__(self) -> None:
-        super().__init__(min=0, max=1e9, min_open=True)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Parse and check a value; another unit is refused."""
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter:
-            self.fail(f"{value}; expected a number of seconds, above 0 and up to 1e9, such as 300", param, ctx)
-
-
-MEGABYTES = Number(min=0, max=1e12, min_open=True)
+Megabytes = Annotated[Number, Field(gt=0, le=1e12), Kind("a number of MB")]
 
 
 class Output(click.Path):
@@ -170,23 +122,24 @@ def apart(options: Mapping[str, object]) -> None:
         raise click.UsageError(f"{' and '.join(given)}: expected one of them")
 
 
+GAP = Annotated[Number, Field(ge=0, le=1), Expected("a fraction from 0 to 1, such as 0.05 for 5 %")]
 gap_option = click.option(
-    "--gap", type=Fraction("0.05 for 5 %"), default=1e-3, show_default=True, metavar="FRACTION",
+    "--gap", type=Value(GAP), default=1e-3, show_default=True, metavar="FRACTION",
     help="Relative gap between the bounds of each person's problem, (upper - lower) / |lower|, that is small enough.",
 )  # fmt: skip
 time_limit_option = click.option(
-    "--time-limit", type=Seconds(), default=300.0, show_default=True, metavar="SECONDS",
+    "--time-limit", type=Value(Seconds), default=300.0, show_default=True, metavar="SECONDS",
     help="Time for an instance, or for a bound. What is known by then is reported.",
 )  # fmt: skip
 jobs_option = click.option(
-    "--jobs", type=click.IntRange(min=1, max=10_000), help="Number of processors to use. All unless given."
+    "--jobs", type=Value(Count, le=10_000), help="Number of processors to use. All unless given."
 )
 scheduler_option = click.option(
     "--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster (extra `cluster`)."
 )
 resume_option = click.option("--resume", is_flag=True, help="Keep what is finished in --out, and do the rest.")
 seed_option = click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed."
+    "--seed", type=Value(Seed), default=0, show_default=True, help="Random seed."
 )  # fmt: skip
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 baseline_option = click.option("--baseline", metavar="NAME", help="Which of those compared differences refer to.")
@@ -202,7 +155,7 @@ def out_option(what: str, *, folder: bool = False, required: bool = False) -> Op
 def humans_option(*, required: bool) -> Option[Any]:
     """Return the option `--humans`."""
     return click.option(
-        "--humans", type=click.IntRange(1, 10_000), required=required, metavar="K",
+        "--humans", type=Value(Count, le=10_000), required=required, metavar="K",
         help="Number of people in the team.",
     )  # fmt: skip
 

@@ -8,6 +8,7 @@ variables, such as KITASSIST_C_SUGGEST, override the file; options on the comman
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from glob import glob
 from pathlib import Path
@@ -19,7 +20,7 @@ from click.core import ParameterSource
 from planner.system import progress
 from planner.system.errors import InputFileError, nearest
 
-from ...declare.options import FieldOption, places, variable_of
+from ...declare.options import FieldOption, Value, places, variable_of
 from ...people.user_code import function_beside
 from .common import INPUT_FILE, Option
 
@@ -28,6 +29,13 @@ ENVIRONMENT = "KITASSIST_"
 
 TABLES = ("tasks", "setting")
 """Tables of a configuration: people's tasks, and the fields of the command's setting."""
+
+
+def of_kubernetes(name: str) -> bool:
+    """Whether Kubernetes has set a variable by itself, as it does in containers beside a service called kitassist."""
+    if not os.environ.get(f"{ENVIRONMENT}PORT", "").startswith(("tcp://", "udp://")):
+        return False
+    return re.match(f"{ENVIRONMENT}(SERVICE_|PORT$|PORT_[0-9]+_)", name) is not None
 
 
 def configurable(command: click.Command) -> click.Command:
@@ -53,7 +61,7 @@ def variables_that_set_nothing(command: click.Command, kind: type[Any]) -> Itera
     fields = {variable_of(ENVIRONMENT, place) for place in places(kind)}
     known = sorted({*options, *fields, *mqtt_settings.VARIABLES, opcua_settings.PASSWORD, progress.UNSHOWN})
     for name in sorted(os.environ):
-        if name.startswith(ENVIRONMENT) and name not in known:
+        if name.startswith(ENVIRONMENT) and name not in known and not of_kubernetes(name):
             near = nearest(name.removeprefix(ENVIRONMENT), [one.removeprefix(ENVIRONMENT) for one in known])
             meant = "" if near is None else f"; did you mean {ENVIRONMENT}{near}?"
             yield f"{name} in the environment sets nothing{meant}"
@@ -163,9 +171,7 @@ def _kinds(options: dict[str, click.Parameter]) -> type[Any]:
 
 def _kind(option: click.Parameter) -> Any:
     """Return the type that an option's value has in a file."""
-    from pydantic import Field
-
-    from ...declare.declared import Number, Text, Texts, Truth, Whole
+    from ...declare.declared import Text, Texts, Truth
 
     if getattr(option, "is_flag", False):
         return Truth
@@ -174,9 +180,4 @@ def _kind(option: click.Parameter) -> Any:
     kind = option.type
     if isinstance(kind, click.Choice):
         return Literal[tuple(kind.choices)]  # noqa: RUF100
-    if isinstance(kind, click.IntRange):
-        return Annotated[Whole, Field(ge=kind.min, le=kind.max)]
-    if isinstance(kind, click.FloatRange):
-        limits: dict[str, Any] = {"gt" if kind.min_open else "ge": kind.min, "lt" if kind.max_open else "le": kind.max}
-        return Annotated[Number, Field(**limits)]
-    return Text
+    return kind.kind if isinstance(kind, Value) else Text

@@ -106,9 +106,7 @@ def command(example: str, name: str | None = None) -> Callable[[Callable[..., An
             context_settings={"rich_help_config": LOOK},
         )(function)
         for option in made.params:
-            if option.metavar is None and isinstance(option.type, click.IntRange):
-                option.metavar = "N"  # click's own placeholder is INTEGER RANGE
-            elif isinstance(option, click.Option) and isinstance(option.type, click.Choice):
+            if isinstance(option, click.Option) and isinstance(option.type, click.Choice):
                 names = option.type.choices
                 if option.metavar is None and len("|".join(names)) > 24:  # a longer placeholder would be cut
                     option.metavar = option.opts[0].removeprefix("--").upper()

@@ -9,8 +9,11 @@ import click
 
 from planner.system.errors import MissingExtraError
 
+from ...declare.declared import Whole
+from ...declare.options import Value
 from ..terminal.console import note
 from .common import together
+from .config import of_kubernetes
 
 if TYPE_CHECKING:
     import socket
@@ -67,6 +70,14 @@ trusted_proxy_option = click.option(
 )  # fmt: skip
 
 
+class PortOption(click.Option):
+    """The option `--port`; a variable of its name that Kubernetes sets by itself is no port."""
+
+    def resolve_envvar_value(self, ctx: click.Context) -> str | None:
+        """Return the value of the variable."""
+        return None if of_kubernetes(str(self.envvar)) else super().resolve_envvar_value(ctx)
+
+
 class Listening(NamedTuple):
     """Where the service listens, and how it is reached."""
 
@@ -88,7 +99,7 @@ listening_options = together(
     "at", Listening,
     (
         click.option(
-            "--port", type=click.IntRange(0, 65535),
+            "--port", cls=PortOption, type=Value(Whole, ge=0, le=65_535),
             help=f"Port to listen on; 0 for any free one.  [default: {PORT}, or another if it is taken]",
         ),
         click.option(

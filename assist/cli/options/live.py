@@ -14,8 +14,8 @@ from planner.system.errors import InputFileError, expected
 from planner.system.files import read_json
 
 from ...declare.catalogue import catalogue
-from ...declare.declared import names_of
-from ...declare.options import Given, setting_options
+from ...declare.declared import Whole, names_of
+from ...declare.options import Given, Value, setting_options
 from ...live.live_setting import LiveSetting
 from ...person.settings import Setting
 from ..terminal.console import usage_errors
@@ -58,7 +58,7 @@ live_options = together(
         click.argument("instances", metavar="INSTANCE...", nargs=-1),
         humans_option(required=False),
         click.option(
-            "--simulate", type=click.IntRange(min=0), default=0, metavar="N",
+            "--simulate", type=Value(Whole, ge=0), default=0, metavar="N",
             help="Number of simulated people among the K.",
         ),
         data_option(required=False),

@@ -14,7 +14,8 @@ from planner.system.errors import InputFileError
 from planner.system.limits import processors
 from planner.system.progress import progress_bar, stages
 
-from ...declare.declared import names_of
+from ...declare.declared import Whole, names_of
+from ...declare.options import Value
 from ..terminal.console import ExitCode, fail, usage_errors
 from .common import INPUT_FILE, Option, domain_option, jobs_option, together
 from .goals import goals_of
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 
 folds_option = click.option(
-    "--folds", type=click.IntRange(2), default=8, show_default=True,
+    "--folds", type=Value(Whole, ge=2), default=8, show_default=True,
     help="Number of groups of people, each of which is predicted from the others; at most one for each person.",
 )  # fmt: skip
 

@@ -17,6 +17,7 @@ from ...declare.declared import (
     Expected,
     Number,
     Range,
+    Seconds,
     Text,
     Truth,
     Usual,
@@ -29,10 +30,9 @@ from ...people.ranges import Population
 from ...people.real_people import advice_takers
 from ...people.user_code import function_beside
 from ...person.settings import Setting
+from .common import Megabytes
 
 T = TypeVar("T")
-
-Megabytes = Annotated[Number, Field(gt=0, le=1e12)]
 
 
 def _goal_prior(given: Any) -> Any:
@@ -199,7 +199,7 @@ class ReadingSetting:
         Field(description="Largest task that is solved whole; else only visited states and their successors are."),
     ] = SolveOptions.max_states
     time_limit: Annotated[
-        Number | None, Field(gt=0, le=1e9, description="Seconds for each of these states; no limit unless given.")
+        Seconds | None, Field(description="Seconds for each of these states; no limit unless given.")
     ] = None
     cache: Annotated[
         Text | None,

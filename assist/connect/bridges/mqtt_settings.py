@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from ...declare.declared import Expected, Number, Text, Texts, Truth, Whole, declared, names_of
+from ...declare.declared import Expected, Seconds, Text, Texts, Truth, Whole, declared, names_of
 from ...live.views import PersonView, RobotView
 from .messages import (
     EventKind,
@@ -34,7 +34,6 @@ ROBOT = "person", "suggestion", "arrived", "seq"
 ERRAND = {*names_of(RobotView)}
 
 Port = Annotated[Whole, Field(ge=1, le=65535), Expected("a port, 1 to 65535")]
-Seconds = Annotated[Number, Field(gt=0, le=3600), Expected("seconds above 0, at most 3600")]
 TopicText = Annotated[Topic, BeforeValidator(Topic.of), Expected("a text")]
 
 
@@ -103,7 +102,7 @@ class MqttSettings(Observing):
     arrived: Annotated[Plain | None, Field(description="Where robots report their places.")] = None
     status: Annotated[Plain | None, Field(description="Where the bridge shows that it works.")] = None
     wait: Annotated[
-        Seconds, Field(description="Seconds for which later messages of a person wait for an earlier one.")
+        Seconds, Field(le=3600, description="Seconds for which later messages of a person wait for an earlier one.")
     ] = 10.0
 
     def require(self, robots: int) -> None:

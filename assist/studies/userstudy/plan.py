@@ -13,7 +13,7 @@ from pydantic import Field, Strict
 from planner import Instance
 
 from ...declare.catalogue import Catalogue
-from ...declare.declared import Count, Expected, Number, Seed, Text, Truth, Whole, declared
+from ...declare.declared import Count, Expected, Number, Seconds, Seed, Text, Truth, Whole, declared
 from ...people.ranges import Population
 from ...person.settings import Setting
 from .assignment import balanced_orders
@@ -28,7 +28,6 @@ WAITING = "waiting"
 """Kind of the stage at which participants wait for their group."""
 
 Minutes = Annotated[Number, Field(gt=0, le=10_000), Expected("a number of minutes above 0")]
-Seconds = Annotated[Number, Field(gt=0, le=86_400), Expected("a number of seconds above 0")]
 Members = Annotated[Whole, Field(ge=2, le=20), Expected("a whole number from 2 to 20")]
 Day = Annotated[date, Strict(), Expected("a date such as 2027-03-31")]
 
@@ -110,7 +109,9 @@ class UserStudyPlan:
     minutes: Annotated[
         Minutes | None, Field(description="Minutes after which a task may be left unfinished; never unless given.")
     ] = None
-    tick: Annotated[Seconds, Field(description="Seconds without an action after which the robot decides again.")] = 2.0
+    tick: Annotated[
+        Seconds, Field(le=86_400, description="Seconds without an action after which the robot decides again.")
+    ] = 2.0
     code: Annotated[
         Text | None, Field(description="Completion code of all; each participant has their own unless given.")
     ] = None

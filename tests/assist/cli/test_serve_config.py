@@ -25,7 +25,7 @@ from assist.cli.options.config import read_config
 from assist.cli.options.settings import ServeSetting
 from assist.cli.serve import serve
 from assist.declare.declared import names_of
-from assist.declare.options import FieldOption, Given, printed
+from assist.declare.options import FieldOption, Given, Value, printed
 from assist.live import Session
 from assist.person.settings import Setting
 from planner.system.compiling import announce
@@ -51,8 +51,7 @@ def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
         elif value is None and one.multiple:
             value = '["text"]'
         elif value is None:
-            whole, share = isinstance(one.type, click.IntRange), isinstance(one.type, click.FloatRange)
-            value = "1" if whole else "0.25" if share else '"text"'
+            value = "1" if isinstance(one.type, Value) else '"text"'
         lines.append(f"{one.opts[0][2:].replace('-', '_')} = {value}")
     lines += ["[setting]", printed(ServeSetting).replace("[population]", "[setting.population]")]
     file.write_text("\n".join(lines))
@@ -145,6 +144,20 @@ def test_variables_that_set_nothing_are_told(tmp_path: Path) -> None:
         "KITASSIST_C_SUGEST in the environment sets nothing; did you mean KITASSIST_C_SUGGEST?",
         "KITASSIST_XYZZYPLUGH in the environment sets nothing",
     ]
+
+
+@pytest.mark.cases
+def test_variables_that_kubernetes_sets_by_itself_are_passed_over() -> None:
+    """It sets them in each container beside a service that is called kitassist."""
+    environment = {
+        "KITASSIST_PORT": "tcp://10.0.0.1:80", "KITASSIST_PORT_80_TCP": "tcp://10.0.0.1:80",
+        "KITASSIST_SERVICE_HOST": "10.0.0.1", "KITASSIST_SERVICE_PORT": "80",
+    }  # fmt: skip
+    found = CliRunner().invoke(main, ["serve", "--humans", "1"], env=environment)
+    assert "INSTANCE: missing" in found.stderr
+    assert "KITASSIST" not in found.stderr
+    found = CliRunner().invoke(main, ["serve", "--humans", "1"], env={"KITASSIST_PORT": "80b"})
+    assert "80b; expected a whole number from 0 to 65535 (from KITASSIST_PORT)" in found.stderr
 
 
 def test_a_service_runs_from_one_file_and_follows_its_changes(tmp_path: Path) -> None:

@@ -285,7 +285,13 @@ def test_what_cannot_be_is_said_before_the_work_begins(
     [
         (("bound", TINY, "--humans", 2, "--gap", 5), "5; expected a fraction from 0 to 1, such as 0.05 for 5 %"),
         (("policy", TINY, "--gap", "5%"), "5%; expected a fraction from 0 to 1, such as 0.05 for 5 %"),
-        (("solve", TINY, "--time-limit", "5min"), "5min; expected a number of seconds, above 0"),
+        (("solve", TINY, "--time-limit", "5min"), "5min; expected a number of seconds above 0"),
+        (("solve", TINY, "--time-limit", ".5s"), ".5s; expected a number of seconds above 0"),
+        (
+            ("fit", TINY, "log.csv", "--set", "time_limit=5min"),
+            'time_limit: "5min"; expected a number of seconds above',
+        ),
+        (("study-report", "min"), "min: no such file or folder"),
         (("simulate", TINY, "--humans", 2, "--set", "gama=1"), "Error: --set gama: unknown; did you mean 'gamma'?"),
         (("simulate", TINY, "--humans", 2, "--population", "empty.json"), "empty.json: the file is empty; expected"),
         (("simulate", TINY, "--humans", 2, "--population", "cut.json"), "cut.json:2: not JSON (column 5: Expecting"),
@@ -347,4 +353,4 @@ def test_a_single_episode_has_no_standard_error() -> None:
 def test_more_episodes_than_anybody_can_wait_for_are_refused() -> None:
     said = invoke("bound", str(TINY), "--humans", "2", "--policy", "none", "--value-episodes", "99999999999")
     assert said.exit_code == 2
-    assert "99999999999 is not in the range" in said.stderr
+    assert "99999999999; expected a whole number from 2 to 1e+08" in said.stderr
