@@ -288,10 +288,10 @@ def test_what_cannot_be_is_said_before_the_work_begins(
         (("solve", TINY, "--time-limit", "5min"), "5min; expected a number of seconds above 0"),
         (("solve", TINY, "--time-limit", ".5s"), ".5s; expected a number of seconds above 0"),
         (
-            ("fit", TINY, "log.csv", "--set", "time_limit=5min"),
+            ("fit", TINY, "own.toml", "--set", "time_limit=5min"),
             'time_limit: "5min"; expected a number of seconds above',
         ),
-        (("study-report", "min"), "min: no such file or folder"),
+        (("study-report", "min"), "min: no such file or folder; did you mean 'mine.py'?"),
         (("simulate", TINY, "--humans", 2, "--set", "gama=1"), "Error: --set gama: unknown; did you mean 'gamma'?"),
         (("simulate", TINY, "--humans", 2, "--population", "empty.json"), "empty.json: the file is empty; expected"),
         (("simulate", TINY, "--humans", 2, "--population", "cut.json"), "cut.json:2: not JSON (column 5: Expecting"),
