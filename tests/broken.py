@@ -79,10 +79,10 @@ POLICIES = (
     "", "def quiet(", "quiet = 3", "def quiet(): pass", "def quiet(team): return 1", "def quiet(team): return 'a', 'b'",
     "def quiet(team): raise KeyError('oops')", "def quiet(team): team.x[:] = 0", "import nosuch", "1/0", "\0", "\ufeff",
     *(
-        f"import numpy as np\ndef quiet(team):\n  n = len(team.x)\n  return team.act({person}, {robot})"
+        f"import numpy as np\ndef quiet(team):\n  n = len(team.x)\n  return team.act({person}, {said})"
         for person in ("np.full(n, 99)", "np.full(n, -2)", "np.zeros(n)", "0", "None", "np.zeros(n + 1, int)",
                        "np.zeros(n, int)", "np.full(n, 2**62)", "team.x[:, 0]")
-        for robot in ("team.first_optimal()", "team.first_optimal() + 99", "-team.first_optimal()", "[[0]]",
+        for said in ("team.first_optimal()", "team.first_optimal() + 99", "-team.first_optimal()", "[[0]]",
                       "team.first_optimal() / 0", "team.q_values()")
     ),
     "def quiet(team): return (99, 99)", "def quiet(team): return (float('nan'), 0)", "raise SystemExit(0)",

@@ -106,13 +106,13 @@ class _Act(NamedTuple):
     chance: Floats
 
 
-def _act(pomdp: AssistPOMDP, x: int, robot: int) -> _Act:
+def _act(pomdp: AssistPOMDP, x: int, action: int) -> _Act:
     """Return the outcomes of a person in a state under an action of the robot."""
-    choices, place = pomdp.model.choices, int(pomdp.afterstate[x, robot])
+    choices, place = pomdp.model.choices, int(pomdp.afterstate[x, action])
     if choices.goal[place]:  # finished, or finished by the robot's execution
         return _Act(np.array([place]), np.zeros(1), np.ones((1, pomdp.prior.size)))
     slots = np.flatnonzero(choices.applicable[place])
-    chance = pomdp.likelihood(np.full_like(slots, x), np.full_like(slots, robot), slots)
+    chance = pomdp.likelihood(np.full_like(slots, x), np.full_like(slots, action), slots)
     chance = np.broadcast_to(chance, (len(slots), *pomdp.grid.shape)).reshape(len(slots), -1)
     return _Act(choices.targets[place, slots], choices.costs[place, slots], chance)
 
@@ -137,20 +137,20 @@ def written_out(people: list[AssistPOMDP], travel: Travel) -> JointProblem:
         deeds = [(k, r) for k, x in enumerate(tasks) for r in range(1, people[k].robot_actions[x])]
         if not all(p.model.choices.goal[x] for p, x in zip(people, tasks, strict=True)):
             deeds.insert(0, (NOBODY, 0))
-        for k, robot in deeds:
-            each = [acts[j][x][robot if j == k else 0] for j, x in enumerate(tasks)]
+        for k, action in deeds:
+            each = [acts[j][x][action if j == k else 0] for j, x in enumerate(tasks)]
             chances = product_of([one.chance for one in each])
             cost = np.sum(np.meshgrid(*[one.cost for one in each], indexing="ij"), axis=0).ravel()
             to = np.meshgrid(*[one.target for one in each], indexing="ij")
             at, above, share, charge = grid.copy(), grid.copy(), np.zeros(len(every)), 0.0
             if k != NOBODY:
-                charge = float(people[k].robot_costs[tasks[k], robot])
+                charge = float(people[k].robot_costs[tasks[k], action])
             moves = 0 if people[0].sees_silence else k  # then there is one person
             if moves != NOBODY:
                 theta = grid[2 * moves + 1]
-                at[2 * moves + 1] = people[moves].low[tasks[moves], robot, 0][theta]
+                at[2 * moves + 1] = people[moves].low[tasks[moves], action, 0][theta]
                 above[2 * moves + 1] = at[2 * moves + 1] + 1
-                share = people[moves].weight[tasks[moves], robot, 0][theta]
+                share = people[moves].weight[tasks[moves], action, 0][theta]
             person.append(k)
             reward.append(-charge - cost @ chances)
             low.append(np.ravel_multi_index(tuple(at), shape))

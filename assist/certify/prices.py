@@ -123,13 +123,13 @@ class SubproblemKind:
 
         def act(team: TeamState) -> TeamAction:
             x, belief = team.known_of(np.arange(len(team.x)))
-            robot = policy(team.step, x).choose(x, belief)
+            action = policy(team.step, x).choose(x, belief)
             if team.step < number.shape[1]:
                 # A robot on its way has no other choice than to continue.
-                number[0, team.step] += np.sum((robot > 0) | (visits.layout.position[team.x[:, 0]] > HERE))
+                number[0, team.step] += np.sum((action > 0) | (visits.layout.position[team.x[:, 0]] > HERE))
                 for count, done in zip(number[1:], acted, strict=True):
-                    count[team.step] += np.sum(done[team.x[:, 0], robot])
-            return team.act(np.zeros_like(robot), robot[:, None])
+                    count[team.step] += np.sum(done[team.x[:, 0], action])
+            return team.act(np.zeros_like(action), action[:, None])
 
         human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
         # Travel is part of the subproblem, so that the simulation has none. A person's problem has one robot.
@@ -268,8 +268,8 @@ def _require_room_for_all(
         if timed:  # each step has at least one state; enumerating them would take long
             _require_room_for(limit_mb, policy_bytes(window), len(problems), window, window)
         states = len(TimeExpansion.of(alone, 2 + steps, window if timed else 0))
-        slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
-        needed += policy_bytes(states, slots=slots, robots=robots)
+        slots, actions = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
+        needed += policy_bytes(states, slots=slots, actions=actions)
     needed *= 1 + 1 / len(problems)  # in each round, one subproblem is built again
     needed += sum(one.outer.nbytes for one in problems if one.outer is not None)
     _require_room_for(limit_mb, needed, len(problems), states, window)

@@ -53,7 +53,7 @@ class _Desk:
     ) -> None:  # fmt: skip
         self.teams = Teams(pool, teams, humans, distance=distance, world=world, filters=filters)
         self.sight = Sight(self.teams, beliefs=beliefs)
-        self.actions = 1 + humans * self.sight.robots
+        self.actions = 1 + humans * self.sight.actions
         robots = len(self.teams.fleet)
         self.axis = () if robots == 1 else (robots,)  # of actions: that of one robot is a number, without an axis
 
@@ -64,7 +64,7 @@ class _Desk:
         seen: dict[str, gymnasium.spaces.Space[Any]] = {
             "action_mask": spaces.MultiBinary([*self.axis, self.actions]),
             "active": spaces.MultiBinary(humans),
-            "alone": spaces.Box(0.0, 1.0, (humans, sight.robots), np.float32),
+            "alone": spaces.Box(0.0, 1.0, (humans, sight.actions), np.float32),
             "cost_to_go": spaces.Box(0.0, sight.largest, (humans,), np.float32),
             "erred": spaces.MultiBinary(humans),
             "free": spaces.MultiBinary(robots),
@@ -85,7 +85,7 @@ class _Desk:
         teams, team = self.teams, self.teams.state()
         possible = self.sight.mask()[:, None] * team.reachable()[..., None]
         possible[..., 1:] *= (teams.travel.steps_from(teams.location) == 0)[..., None]  # the robot acts on arrival
-        able = np.isfinite(team.extra_costs(self.sight.robots))  # not all can execute
+        able = np.isfinite(team.extra_costs(self.sight.actions))  # not all can execute
         possible *= able[:, teams.fleet.kinds[1]]
         flat = possible.reshape(*possible.shape[:-2], -1).astype(np.int8)
         return np.concatenate([np.ones((*flat.shape[:-1], 1), dtype=np.int8), flat], axis=-1)
@@ -109,13 +109,13 @@ class _Desk:
 
         0 does nothing; 1 + k R + r sends the robot to person k and does robot action r there.
         """
-        person, robot = np.divmod(numbers - 1, self.sight.robots)
+        person, does = np.divmod(numbers - 1, self.sight.actions)
         stays = numbers == 0
-        return TeamAction(np.where(stays, NOBODY, person), np.where(stays, 0, robot))
+        return TeamAction(np.where(stays, NOBODY, person), np.where(stays, 0, does))
 
     def encode(self, action: TeamAction) -> NDArray[np.int64]:
         """Return the numbers of team actions as in the action space, shape (N,) for one robot, otherwise (N, M)."""
-        numbers = np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.action)
+        numbers = np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.actions + action.action)
         return numbers.reshape(len(numbers), *self.axis)
 
     def step(self, rows: NDArray[np.int64], numbers: NDArray[np.int64]) -> tuple[Any, Any, Any]:
@@ -278,9 +278,9 @@ class TeamEnv(gymnasium.Env):
             each = f", for each of {robots} robots" * (robots > 1)
             raise ValueError(f"action {action}: expected 0 to {self._desk.actions - 1}{each}")
         number, before = number.reshape(1, robots), teams.row[0].copy()
-        illegal, (robot, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number)
+        illegal, (heard, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number)
         if self.render_mode is not None:
-            self._remember(before, robot[0], slot[0])
+            self._remember(before, heard[0], slot[0])
         terminated = bool(teams.finished.all())
         truncated = not terminated and bool(teams.clock[0] >= teams.pool.setting.max_steps)
         return self._observation(), float(reward[0]), terminated, truncated, self._info(illegal[0])
@@ -295,12 +295,12 @@ class TeamEnv(gymnasium.Env):
             "people": teams.people[0].copy(), "steps": int(teams.clock[0]),
         }  # fmt: skip
 
-    def _remember(self, x: NDArray[np.int64], robot: NDArray[np.int64], slot: NDArray[np.int64]) -> None:
+    def _remember(self, x: NDArray[np.int64], heard: NDArray[np.int64], slot: NDArray[np.int64]) -> None:
         """Record the actions of a step for later pictures."""
         for place, number in enumerate(self._desk.teams.people[0]):
             pomdp = self.pool.policies[self.pool.model[number]].pomdp
-            executed = pomdp.executes(int(x[place]), int(robot[place]))
-            after = int(pomdp.afterstate[x[place], robot[place]])
+            executed = pomdp.executes(int(x[place]), int(heard[place]))
+            after = int(pomdp.afterstate[x[place], heard[place]])
             done = [executed] if executed else []
             done += [pomdp.model.choices.name(after, int(slot[place]))] if slot[place] >= 0 else []
             self._seen += [(place, action) for action in done if action]

@@ -148,12 +148,12 @@ class Observed:
         pomdp = self.pomdp
         for name, x in zip(self.names, self.state.tolist(), strict=True):
             if not pomdp.model.choices.goal[x] and pomdp.robot_actions[x] > 1:
-                robots = action_names(pomdp)[1 : int(pomdp.robot_actions[x])]
+                actions = action_names(pomdp)[1 : int(pomdp.robot_actions[x])]
                 meant = [
-                    f"{robot} does {pomdp.executes(x, r)}"
+                    f"{action} does {pomdp.executes(x, r)}"
                     if pomdp.suggestion(x, r) is None
-                    else f"{robot} suggests {pomdp.suggestion(x, r)}"
-                    for r, robot in enumerate(robots, start=1)
+                    else f"{action} suggests {pomdp.suggestion(x, r)}"
+                    for r, action in enumerate(actions, start=1)
                 ]
                 yield f"{name}: {', '.join(meant)}"
 

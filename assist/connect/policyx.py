@@ -43,10 +43,10 @@ def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
     if missing.any():
         raise InputFileError(f"{path}:{reader.end}: no alpha vector for state {int(missing.argmax())}")
     vectors = np.array([reader.vectors[i] for i in keep]).reshape(len(keep), *pomdp.grid.shape)
-    robot = np.array(reader.action, dtype=np.int64)[keep]
-    robot = np.where(robot < pomdp.robot_actions[state[keep]], robot, 0)
+    action = np.array(reader.action, dtype=np.int64)[keep]
+    action = np.where(action < pomdp.robot_actions[state[keep]], action, 0)
     first = np.searchsorted(state[keep], np.arange(len(choices) + 1)).astype(np.int64)
-    return VectorPolicy(pomdp, vectors, robot, first)
+    return VectorPolicy(pomdp, vectors, action, first)
 
 
 class _PolicyReader:

@@ -66,13 +66,13 @@ def require_size(observed: Observed, max_states: int = 20_000) -> None:
 def _flat(observed: Observed, stream: TextIO) -> None:
     pomdp = observed.pomdp
     betas, thetas = pomdp.grid.shape
-    cells, robots = betas * thetas, action_names(pomdp)
+    cells, actions = betas * thetas, action_names(pomdp)
     size = len(observed.state) * cells
     stream.write(f"# state (x * {betas} + beta) * {thetas} + theta; what is observed is x\n")
     stream.writelines(f"# x = {x}: {name}\n" for x, name in enumerate(observed.names))
     stream.writelines(f"# {line.encode('ascii', 'backslashreplace').decode()}\n" for line in observed.legend())
     stream.write(f"discount: {pomdp.gamma!r}\nvalues: reward\nstates: {size}\n")
-    stream.write(f"actions: {' '.join(robots)}\nobservations: {len(observed.state)}\n")
+    stream.write(f"actions: {' '.join(actions)}\nobservations: {len(observed.state)}\n")
     start = np.zeros((len(observed.state), cells))
     start[pomdp.model.choices.initial] = pomdp.prior.ravel()
     stream.write(f"start: {numbers(start)}\n")
@@ -85,14 +85,14 @@ def lines_of(observed: Observed, values: NDArray[np.int64]) -> Iterator[str]:
     """Yield the transitions and rewards of some observed values, given by their numbers: nearly all of a large file."""
     pomdp = observed.pomdp
     betas, thetas = pomdp.grid.shape
-    cells, robots, stay = betas * thetas, action_names(pomdp), np.eye(thetas)
+    cells, actions, stay = betas * thetas, action_names(pomdp), np.eye(thetas)
     for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
         if observed.stays(x):
             yield from (f"T: * : {value * cells + i} : {value * cells + i} 1\n" for i in range(cells))
             stay_for = np.broadcast_to(observed.reward(x, 0), (betas, thetas)).ravel().tolist()
             yield from (f"R: * : {value * cells + i} : * : * {v!r}\n" for i, v in enumerate(stay_for) if v)
             continue
-        for r, robot in enumerate(robots):
+        for r, action in enumerate(actions):
             matrix = observed.moves(x, r)
             moves = stay if matrix is None else matrix
             for y, chance in observed.step(x, r):
@@ -100,8 +100,8 @@ def lines_of(observed: Observed, values: NDArray[np.int64]) -> Iterator[str]:
                 joint = np.broadcast_to(chance, (betas, thetas))[:, :, None] * moves
                 for b, t, after in zip(*(i.tolist() for i in np.nonzero(joint)), strict=True):
                     start_state, end = value * cells + b * thetas + t, y * cells + b * thetas + after
-                    yield f"T: {robot} : {start_state} : {end} {float(joint[b, t, after])!r}\n"
+                    yield f"T: {action} : {start_state} : {end} {float(joint[b, t, after])!r}\n"
             reward = np.broadcast_to(observed.reward(x, r), (betas, thetas))
             yield from (
-                f"R: {robot} : {value * cells + i} : * : * {v!r}\n" for i, v in enumerate(reward.ravel().tolist())
+                f"R: {action} : {value * cells + i} : * : * {v!r}\n" for i, v in enumerate(reward.ravel().tolist())
             )

@@ -54,7 +54,7 @@ def write_pomdpx(pomdp: AssistPOMDP, path: Path | str, table: Table | None = Non
 def _pomdpx(observed: Observed, stream: TextIO) -> None:
     pomdp = observed.pomdp
     betas, thetas = pomdp.grid.shape
-    robots = action_names(pomdp)
+    actions = action_names(pomdp)
     hidden = {"beta": betas, "theta": thetas}
     stream.write('<?xml version="1.0" encoding="ISO-8859-1"?>\n<pomdpx version="1.0" id="kitassist">\n')
     stream.write("<Description>Assistance of one person: x is the task's state, beta their expertise, theta the ")
@@ -69,7 +69,7 @@ def _pomdpx(observed: Observed, stream: TextIO) -> None:
         values = " ".join(f"{name[0]}{i}" for i in range(size))
         stream.write(f'<StateVar vnamePrev="{name}_0" vnameCurr="{name}_1" fullyObs="false"><ValueEnum>{values}')
         stream.write("</ValueEnum></StateVar>\n")
-    stream.write(f'<ActionVar vname="robot"><ValueEnum>{" ".join(robots)}</ValueEnum></ActionVar>\n')
+    stream.write(f'<ActionVar vname="action"><ValueEnum>{" ".join(actions)}</ValueEnum></ActionVar>\n')
     stream.write('<RewardVar vname="reward"/>\n</Variable>\n')
 
     initial = np.zeros(len(observed.names))
@@ -86,12 +86,12 @@ def _pomdpx(observed: Observed, stream: TextIO) -> None:
         stream.writelines(_function("theta_0", "beta_0", [("- -", given)]))
     stream.write("</InitialStateBelief>\n<StateTransitionFunction>\n")
     every = observed.values()
-    stream.writelines(_function("x_1", "robot x_0 beta_0 theta_0", _transitions(observed, robots, every)))
+    stream.writelines(_function("x_1", "action x_0 beta_0 theta_0", _transitions(observed, actions, every)))
     stream.writelines(_function("beta_1", "beta_0", [("- -", "identity")]))
-    stream.writelines(_function("theta_1", "robot x_0 theta_0", _theta_moves(observed, robots, every)))
+    stream.writelines(_function("theta_1", "action x_0 theta_0", _theta_moves(observed, actions, every)))
     stream.write("</StateTransitionFunction>\n<RewardFunction>\n")
-    rewards = _rewards(observed, robots, every)
-    stream.writelines(_function("reward", "robot x_0 beta_0 theta_0", rewards, "Func", "ValueTable"))
+    rewards = _rewards(observed, actions, every)
+    stream.writelines(_function("reward", "action x_0 beta_0 theta_0", rewards, "Func", "ValueTable"))
     stream.write("</RewardFunction>\n</pomdpx>\n")
 
 
@@ -110,9 +110,9 @@ def _function(
 
 def lines_of(observed: Observed, values: NDArray[np.int64]) -> Iterator[str]:
     """Yield the lines about some observed values, given by their numbers: nearly all of a large file."""
-    robots = action_names(observed.pomdp)
+    actions = action_names(observed.pomdp)
     for entries in (_transitions, _theta_moves, _rewards):
-        yield from _function("", "", entries(observed, robots, values))
+        yield from _function("", "", entries(observed, actions, values))
 
 
 def _over(array: Floats) -> str:
@@ -120,31 +120,31 @@ def _over(array: Floats) -> str:
     return " ".join("-" if size > 1 else "*" for size in array.shape)
 
 
-def _transitions(observed: Observed, robots: list[str], values: NDArray[np.int64]) -> Entries:
+def _transitions(observed: Observed, actions: list[str], values: NDArray[np.int64]) -> Entries:
     for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
         here = observed.names[value]
         if observed.stays(x):
             yield f"* {here} * * {here}", "1"
             continue
-        for r, robot in enumerate(robots):
+        for r, action in enumerate(actions):
             for y, chance in observed.step(x, r):
-                yield f"{robot} {here} {_over(chance)} {observed.names[y]}", chance
+                yield f"{action} {here} {_over(chance)} {observed.names[y]}", chance
 
 
-def _theta_moves(observed: Observed, robots: list[str], values: NDArray[np.int64]) -> Entries:
+def _theta_moves(observed: Observed, actions: list[str], values: NDArray[np.int64]) -> Entries:
     yield "nothing * - -", "identity"
-    for r, robot in enumerate(robots[1:], start=1):
+    for r, action in enumerate(actions[1:], start=1):
         for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
             matrix = observed.moves(x, r)
-            yield f"{robot} {observed.names[value]} - -", "identity" if matrix is None else matrix
+            yield f"{action} {observed.names[value]} - -", "identity" if matrix is None else matrix
 
 
-def _rewards(observed: Observed, robots: list[str], values: NDArray[np.int64]) -> Entries:
+def _rewards(observed: Observed, actions: list[str], values: NDArray[np.int64]) -> Entries:
     for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
         if observed.stays(x):
             reward = observed.reward(x, 0)
             yield f"* {observed.names[value]} {_over(reward)}", reward
             continue
-        for r, robot in enumerate(robots):
+        for r, action in enumerate(actions):
             reward = observed.reward(x, r)
-            yield f"{robot} {observed.names[value]} {_over(reward)}", reward
+            yield f"{action} {observed.names[value]} {_over(reward)}", reward

@@ -246,7 +246,7 @@ class Sight:
         extents = [policy.problem.extent for policy in self._policies]
         pomdps = [policy.pomdp for policy in self._policies]
         self.hidden, self._prior = pomdps[0].prior.shape, np.array([pomdp.prior for pomdp in pomdps])
-        self.robots, self.states = max(one.robot_actions for one in extents), max(one.states for one in extents)
+        self.actions, self.states = max(one.robot_actions for one in extents), max(one.states for one in extents)
         self.models, farthest = len(pomdps), max(one.farthest for one in extents)
         paid = teams.pool.setting.max_steps * max(policy.problem.dearest for policy in self._policies)
         self.largest = (farthest if np.isfinite(farthest) else paid) + 1.0
@@ -262,7 +262,7 @@ class Sight:
         r = 0, nothing, it is the probability of an optimal action.
         """
         suggested, chosen = pomdp.suggested[rows], pomdp.chosen[rows]
-        alone = np.zeros((len(rows), self.robots, chosen.shape[2]))
+        alone = np.zeros((len(rows), self.actions, chosen.shape[2]))
         does = np.take_along_axis(chosen, np.maximum(suggested, 0)[:, :, None], axis=1)
         alone[:, : suggested.shape[1]] = np.where((suggested != NOTHING)[:, :, None], does, 0.0)
         optimal = pomdp.model.choices.goals.optimal[rows][:, :, pomdp.hidden.goal_of]
@@ -282,7 +282,7 @@ class Sight:
     def mask(self) -> NDArray[np.int8]:
         """Return the mask of robot actions of each person, shape (N, K, R); finished people have only action 0."""
         count = np.where(self.teams.finished, 1, self._of_people(_robot_actions))
-        return (np.arange(self.robots) < count[:, :, None]).astype(np.int8)
+        return (np.arange(self.actions) < count[:, :, None]).astype(np.int8)
 
     def _cost_to_go(self) -> NDArray[np.float32]:
         """Return the mean cost-to-go over the goals, shape (N, K), under the beliefs or, without them, the prior."""

@@ -58,7 +58,7 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
         update_by(record, step, setting.observation)
         record.earlier = earlier
         return bool(beliefs.erred[k])
-    acts = Acts(np.array([row]), np.array([step.robot]), np.array([step.slot]), np.array([False]))
+    acts = Acts(np.array([row]), np.array([step.said]), np.array([step.slot]), np.array([False]))
     policy.problem.effects(acts.x, acts.heard)
     with suppress(ImpossibleObservationError):  # in a model without lapses; the action says nothing about the person
         beliefs.update(np.array([k]), acts, PersonModel.of(policy))
@@ -181,16 +181,16 @@ def likeliest_cost_to_go(team: Roster, record: RosterEntry) -> float:
     return float(pomdp.model.choices.goals.h[share.argmax(), team.row(record)])
 
 
-def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.0) -> Reason:
+def reason_of(team: Roster, k: int, said: int, moving: float, extra: float = 0.0) -> Reason:
     """Return the reason for a robot action towards the person at a place, or for going there (0), in numbers.
 
     `extra` is what a suggestion by this robot costs more than in the person's problem, if robots differ.
     """
     policy, belief = team.problems[k].policy, team.belief[k]
     q = team.answers_about(worth_of_actions, int(team.model[k]), np.array([k]))[0]
-    saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0]) - extra
+    saving = float((q[said] if said else q[1:].max(initial=q[0])) - q[0]) - extra
     beta, theta = policy.pomdp.grid.spreads(belief, policy.pomdp.hidden)
-    follow = _follow(team, k, robot or 1 + int(first_best(q[1:])))
+    follow = _follow(team, k, said or 1 + int(first_best(q[1:])))
     steps = team.records[k].steps
     answered = [step for step in steps if step.suggestion is not None and step.action is not None]
     return Reason(
@@ -200,13 +200,13 @@ def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.
     )  # fmt: skip
 
 
-def _follow(team: Roster, k: int, robot: int) -> Spread:
+def _follow(team: Roster, k: int, said: int) -> Spread:
     """Return the mean and interval of the probability that a person follows a suggestion, under the belief."""
     pomdp, x = team.problems[k].policy.pomdp, team.x[k : k + 1]
-    action = pomdp.suggested[x, robot]
-    if action[0] == NOTHING:
+    slot = pomdp.suggested[x, said]
+    if slot[0] == NOTHING:
         return Spread(0.0, 0.0, 0.0)
-    chance = pomdp.likelihood(x, np.array([robot]), action)[0].reshape(-1)
+    chance = pomdp.likelihood(x, np.array([said]), slot)[0].reshape(-1)
     order = np.argsort(chance)
     values, place = np.unique(chance[order], return_inverse=True)
     weights = np.bincount(place, team.belief[k].reshape(-1)[order]).astype(float)

@@ -51,7 +51,7 @@ class DecisionPoint:
         What the robot knows of the people; `x` has the row of each person, which the decision holds.
     model : int array, shape (P,)
         Number of each person's policy.
-    robot : int array, shape (P,)
+    said : int array, shape (P,)
         Robot action towards each person that is open; 0 for none.
     present, ended : bool arrays, shape (P,)
     questions : mapping of int to WhyQuestion
@@ -77,7 +77,7 @@ class DecisionPoint:
     policies: list[Policy]
     beliefs: Beliefs
     model: NDArray[np.int64]
-    robot: NDArray[np.int64]
+    said: NDArray[np.int64]
     present: NDArray[np.bool_]
     ended: NDArray[np.bool_]
     questions: Mapping[int, WhyQuestion]
@@ -114,10 +114,10 @@ class DecisionPoint:
         policies = [task.policy for task in team.tasks]
         point = cls(
             tuple(team.by_name), tuple(team.problems), policies, team.beliefs.of(np.arange(count)),
-            copy(team.model), copy(team.robot), copy(team.present), copy(team.ended),
+            copy(team.model), copy(team.said), copy(team.present), copy(team.ended),
             {k: _why(one) for k, one in sorted(questions.items())},
             here, moving[:count], rule, extra, policy,
-            {one.place: said for one in team.records if (said := one.remark) is not None}, team.paused,
+            {one.place: remark for one in team.records if (remark := one.remark) is not None}, team.paused,
         )  # fmt: skip
         for number, rows in by_model(point.model, np.arange(count), len(policies)):
             policies[number].problem.hold(point, point.beliefs.x[rows])
@@ -146,20 +146,20 @@ class DecisionPoint:
         """
         if place is None:
             return self.nothing()
-        robot, coming = int(self.robot[place]), attended == place and not arrived
-        if robot or coming:
-            return self.suggested(place, robot, arrived=not coming, against=against)
+        said, coming = int(self.said[place]), attended == place and not arrived
+        if said or coming:
+            return self.suggested(place, said, arrived=not coming, against=against)
         self._require_none(place, against)
         return self.nothing(place, elsewhere=attended not in (None, place))
 
-    def suggested(self, place: int, robot: int, *, arrived: bool, against: str | None = None) -> Explanation:
+    def suggested(self, place: int, said: int, *, arrived: bool, against: str | None = None) -> Explanation:
         """Return why a person is attended to, and why with this suggestion.
 
         Parameters
         ----------
         place : int
             The person's place.
-        robot : int
+        said : int
             The robot action; 0 without a suggestion.
         arrived : bool
             Whether the robot is there.
@@ -173,17 +173,17 @@ class DecisionPoint:
         InapplicableError
             The action is not applicable now, or there is no suggestion with which it could be compared.
         """
-        person = self._why_person(place, robot, arrived)
-        if robot == 0:
+        person = self._why_person(place, said, arrived)
+        if said == 0:
             self._require_none(place, against)
             return Explanation(now=person)
-        step = self._why_step(place, robot)
+        step = self._why_step(place, said)
         asked = None
         if against is not None:
             problem, _, row = self._at(place)
             slot = problem.slot(row, against)
             name = problem.choices.name(row, slot)
-            asked = self._contrast(place, robot, step.step, name, float(self._chances(place)[slot]))
+            asked = self._contrast(place, said, step.step, name, float(self._chances(place)[slot]))
         return self._in_words(place, Explanation(step, person, None, asked))
 
     def nothing(self, place: int | None = None, *, elsewhere: bool = False) -> Explanation:
@@ -214,7 +214,7 @@ class DecisionPoint:
     @property
     def free(self) -> NDArray[np.bool_]:
         """Who is at work, and has neither a suggestion nor an open question, shape (P,)."""
-        free = self.working & (self.robot == 0)
+        free = self.working & (self.said == 0)
         free[list(self.questions)] = False
         return free
 
@@ -258,12 +258,12 @@ class DecisionPoint:
     def _at(self, place: int) -> tuple[LiveTask, Policy, int]:
         return self.problems[place], self.policies[self.model[place]], int(self.beliefs.x[place])
 
-    def _known(self, place: int, robot: int) -> tuple[Choices | CostToGo, int]:
+    def _known(self, place: int, said: int) -> tuple[Choices | CostToGo, int]:
         """Return all choices of a person's task, and their state there, with the goal that a suggestion is for."""
         _, policy, row = self._at(place)
-        return policy.problem.task_of(self._goal(place, robot)[0]), int(policy.places(np.array([row]))[0])
+        return policy.problem.task_of(self._goal(place, said)[0]), int(policy.places(np.array([row]))[0])
 
-    def _goal(self, place: int, robot: int) -> tuple[int, float]:
+    def _goal(self, place: int, said: int) -> tuple[int, float]:
         """Return the number of the goal that a suggestion is for, and its probability.
 
         It is the most probable of the goals for which the suggestion is optimal, or of all if there is none.
@@ -271,13 +271,13 @@ class DecisionPoint:
         _, policy, row = self._at(place)
         pomdp, goals = policy.pomdp, policy.pomdp.model.choices.goals
         share = pomdp.hidden.marginal(self.beliefs.belief[place], "goal")
-        optimal = goals.optimal[row, pomdp.suggested[row, robot]] & ~goals.goal[:, row]
+        optimal = goals.optimal[row, pomdp.suggested[row, said]] & ~goals.goal[:, row]
         goal = int(np.where(optimal if optimal.any() else True, share, -1.0).argmax())
         return goal, float(share[goal])
 
-    def _contrast(self, place: int, robot: int, step: str, alternative: str, probability: float) -> Contrast:
+    def _contrast(self, place: int, said: int, step: str, alternative: str, probability: float) -> Contrast:
         say = self.problems[place].say
-        return contrast(*self._known(place, robot), step, alternative, probability=probability, say=say)
+        return contrast(*self._known(place, said), step, alternative, probability=probability, say=say)
 
     def _chances(self, place: int) -> Floats:
         """Return how likely a person is to make each choice without a suggestion, shape (A,), under the belief."""
@@ -287,10 +287,10 @@ class DecisionPoint:
         p = np.einsum("ah,h->a", pomdp.chosen[row], self.beliefs.belief[place].sum(axis=1))
         return np.where(applicable, (1 - pomdp.model.lapse) * p + pomdp.model.lapse / applicable.sum(), 0.0)
 
-    def _why_step(self, place: int, robot: int) -> WhyStep:
+    def _why_step(self, place: int, said: int) -> WhyStep:
         _, policy, row = self._at(place)
-        (goal, share), pomdp = self._goal(place, robot), policy.pomdp
-        choices, own = pomdp.model.choices.of_goal(goal), int(pomdp.suggested[row, robot])
+        (goal, share), pomdp = self._goal(place, said), policy.pomdp
+        choices, own = pomdp.model.choices.of_goal(goal), int(pomdp.suggested[row, said])
         chances = self._chances(place)
         in_all = np.where(choices.applicable[row], choices.costs[row] + choices.h[choices.targets[row]], -np.inf)
         others = choices.applicable[row] & (np.arange(len(chances)) != own)
@@ -299,29 +299,29 @@ class DecisionPoint:
         if others.any():
             slot = int(np.where(worse if worse.any() else others, chances, -1.0).argmax())
             names = choices.name(row, own), choices.name(row, slot)
-            likely = self._contrast(place, robot, *names, float(chances[slot]))
+            likely = self._contrast(place, said, *names, float(chances[slot]))
         shown = pomdp.model.choices.goals.shown(goal)
         return WhyStep(choices.name(row, own), float(chances[own]), likely, shown, share)
 
-    def _why_person(self, place: int, robot: int, arrived: bool) -> WhyPerson:
-        mine, others = self._prospect(place, robot), list[Prospect]()
+    def _why_person(self, place: int, said: int, arrived: bool) -> WhyPerson:
+        mine, others = self._prospect(place, said), list[Prospect]()
         if self.rule != "reactive":  # which does not compare people
             others = [one for other, one in self._prospects.items() if other != place]
         others.sort(key=lambda one: -one.score)
         return WhyPerson(mine, self.here == place, arrived, tuple(others), self.rule, self.remarks.get(place))
 
-    def _prospect(self, place: int, robot: int) -> Prospect:
+    def _prospect(self, place: int, said: int) -> Prospect:
         """Return the prospect of one robot action, or of the best suggestion for 0."""
         q = self._values(self._at(place)[1], np.array([place]))[0]
-        robot = robot or (1 + int(first_best(q[1:])) if len(q) > 1 else 0)
-        return self._of_action(place, q, robot)
+        said = said or (1 + int(first_best(q[1:])) if len(q) > 1 else 0)
+        return self._of_action(place, q, said)
 
-    def _of_action(self, place: int, q: Floats, robot: int) -> Prospect:
+    def _of_action(self, place: int, q: Floats, said: int) -> Prospect:
         _, policy, row = self._at(place)
-        cost = float(policy.pomdp.robot_costs[row, robot])
+        cost = float(policy.pomdp.robot_costs[row, said])
         return Prospect(
-            self.names[place], policy.pomdp.suggestion(row, robot), float(q[robot] - q[0]) + cost,
-            cost + self.extra, float(self.moving[place]), float(self._beside[place, robot]),
+            self.names[place], policy.pomdp.suggestion(row, said), float(q[said] - q[0]) + cost,
+            cost + self.extra, float(self.moving[place]), float(self._beside[place, said]),
         )  # fmt: skip
 
     @cached_property

@@ -111,7 +111,7 @@ class Decisions:
         """
         places = self._places
         places.stop_for_absent(self._team.present)
-        active, question = self._team.present & ~self._team.ended & (self._team.robot == 0), None
+        active, question = self._team.present & ~self._team.ended & (self._team.said == 0), None
         if not all(places.under_way) and active.any():
             active, question = self._asking(active)
         points = [self.point(number, question) for number in range(len(places.at))]
@@ -129,15 +129,15 @@ class Decisions:
         action = self.team_policy()(team)
         check(team, action)
         chosen = zip(action.person[0].tolist(), action.action[0].tolist(), strict=True)
-        for number, (k, robot) in enumerate(chosen):
+        for number, (k, said) in enumerate(chosen):
             if k != NOBODY:
-                advice[number] = self._sent(number, k, robot, points[number])
+                advice[number] = self._sent(number, k, said, points[number])
         return (advice[0].asking(question), *advice[1:])
 
-    def reason(self, number: int, k: int, robot: int) -> Reason:
+    def reason(self, number: int, k: int, said: int) -> Reason:
         """Return the reason for a robot's action towards the person at a place, in the numbers of the present."""
         moving = float(self._places.cost(number, self._places.at[number])[k])
-        return reason_of(self._team, k, robot, moving, self._extra(number))
+        return reason_of(self._team, k, said, moving, self._extra(number))
 
     def _asking(self, active: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Question | None]:
         """Return who may get a suggestion, as nothing is asked of them, and the question that is worth most."""
@@ -152,13 +152,13 @@ class Decisions:
             active[self._team.by_name[question.person].place] = False
         return active, question
 
-    def _sent(self, number: int, k: int, robot: int, point: DecisionPoint) -> Advice:
+    def _sent(self, number: int, k: int, said: int, point: DecisionPoint) -> Advice:
         """Return the advice of a robot that is sent from where it is to a person."""
         record, there = self._team.records[k], not self._places.takes_time(number, k)
         row, pomdp = self._team.row(record), record.problem.policy.pomdp
-        reason = self.reason(number, k, robot)
-        advice = Advice(record.name, pomdp.suggestion(row, robot), reason, arrived=there)
-        return advice.explained_by(partial(point.suggested, k, robot, arrived=there))
+        reason = self.reason(number, k, said)
+        advice = Advice(record.name, pomdp.suggestion(row, said), reason, arrived=there)
+        return advice.explained_by(partial(point.suggested, k, said, arrived=there))
 
     def _as_policies_see_it(self, active: NDArray[np.bool_], step: int) -> TeamState:
         t = self._team

@@ -331,8 +331,8 @@ class Knowledge:
         record.close_questions()
         believe_again(roster, record, self.setting, place=last.place, offer=again)
         if record.offer is not None and record.offer.reason is not None:
-            robot = record.offer.robot
-            roster.give_reason(record, self._decisions.reason(self._explaining(record.place), record.place, robot))
+            said = record.offer.said
+            roster.give_reason(record, self._decisions.reason(self._explaining(record.place), record.place, said))
         return last.action
 
     def _explaining(self, place: int | None) -> int:
@@ -345,7 +345,7 @@ class Knowledge:
     def _attends(self, number: int) -> bool:
         """Return whether a robot, numbered from 0, is on its way, or at a person who has its suggestion."""
         location = self._places.at[number]
-        return self._places.under_way[number] or (location != BASE and self.roster.robot[location] != 0)
+        return self._places.under_way[number] or (location != BASE and self.roster.said[location] != 0)
 
     def follow(self, advice: Sequence[Advice], step: int) -> tuple[Advice, ...]:
         """Apply the advice of each robot, as decided or from a record, and return it.

@@ -148,7 +148,7 @@ class LiveTask:
         """Return an action of the task in PDDL notation; errors as in `ground`."""
         return self.choices.action_name(self.ground(action))
 
-    def robot(self, row: int, suggestion: str | None) -> int:
+    def said(self, row: int, suggestion: str | None) -> int:
         """Return the robot action that suggests an action; 0 for None."""
         if suggestion is None:
             return 0
@@ -158,10 +158,10 @@ class LiveTask:
             raise InapplicableError("other", why=f"{suggestion}: the robot cannot suggest this action here")
         return int(found[0])
 
-    def robot_at(self, row: int, suggestion: str) -> int:
+    def said_at(self, row: int, suggestion: str) -> int:
         """Return the robot action that suggests an action; 0 if the robot cannot suggest it there."""
         with suppress(InapplicableError):
-            return self.robot(row, suggestion)
+            return self.said(row, suggestion)
         return 0
 
     def say(self, action: str) -> str:

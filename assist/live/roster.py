@@ -36,7 +36,7 @@ class Offer(NamedTuple):
     `number` is that of the event after which it was made, and `time` when that was, in seconds.
     """
 
-    robot: int
+    said: int
     action: str
     reason: Reason | None
     number: int
@@ -59,9 +59,9 @@ class Step(NamedTuple):
     doubtful: bool = False
 
     @property
-    def robot(self) -> int:
+    def said(self) -> int:
         """The robot action before it; 0 for none."""
-        return 0 if self.offer is None else self.offer.robot
+        return 0 if self.offer is None else self.offer.said
 
     @property
     def suggestion(self) -> str | None:
@@ -291,7 +291,7 @@ class Roster:
         Open suggestions by place.
     model : int array, shape (P,)
         Index of each person's task in `tasks`.
-    robot : int array, shape (P,)
+    said : int array, shape (P,)
         Robot action towards each person since their last action, that of their open suggestion; 0 for none.
     present, ended : bool arrays, shape (P,)
         Whether the person is present, and has (probably) reached the goal.
@@ -312,7 +312,7 @@ class Roster:
         self.questions: dict[int, Question] = {}
         self.offers: dict[int, Offer] = {}
         self.by_name: dict[str, RosterEntry] = {}
-        self.model, self.robot = np.zeros((2, places), dtype=np.int64)
+        self.model, self.said = np.zeros((2, places), dtype=np.int64)
         self.present, self.ended = np.zeros((2, places), dtype=bool)
         self.beliefs = UncertainStates(
             np.zeros(places, dtype=np.int64), np.zeros((places, 0, 0)), np.zeros(places, dtype=bool)
@@ -386,8 +386,8 @@ class Roster:
 
     def suggest(self, record: RosterEntry, action: str | None, reason: Reason | None = None) -> None:
         """Open a suggestion to a person, or none."""
-        robot = record.problem.robot(self.row(record), action)
-        self._open(record, None if action is None else Offer(robot, action, reason, self.event, self.time))
+        said = record.problem.said(self.row(record), action)
+        self._open(record, None if action is None else Offer(said, action, reason, self.event, self.time))
 
     def give_reason(self, record: RosterEntry, reason: Reason) -> None:
         """Let the open suggestion to a person have another reason."""
@@ -395,7 +395,7 @@ class Roster:
 
     def _open(self, record: RosterEntry, offer: Offer | None) -> None:
         _set(self.offers, record.place, offer)
-        self.robot[record.place] = 0 if offer is None else offer.robot
+        self.said[record.place] = 0 if offer is None else offer.said
 
     def ask(self, question: Question | None) -> None:
         """Open a question, if there is one and its person is known."""
@@ -411,7 +411,7 @@ class Roster:
             more = np.zeros((max(0, places - len(array)), *array.shape[1:]), dtype=array.dtype)
             return np.concatenate([array[:places], more])
 
-        for name in ("model", "robot", "present", "ended"):
+        for name in ("model", "said", "present", "ended"):
             setattr(self, name, longer(getattr(self, name)))
         for name in ("x", "belief", "erred"):
             setattr(self.beliefs, name, longer(getattr(self.beliefs, name)))
@@ -427,8 +427,8 @@ class Roster:
             self.tasks.append(problem)
         self.model[k], self.x[k] = self.tasks.index(problem), row
         self.erred[k] = erred
-        robot = 0 if offer is None else problem.robot_at(row, offer.action)
-        self._open(record, offer._replace(robot=robot) if offer is not None and robot else None)
+        said = 0 if offer is None else problem.said_at(row, offer.action)
+        self._open(record, offer._replace(said=said) if offer is not None and said else None)
         problem.policy.problem.hold(record, self.x[k : k + 1].copy())
         self.ended[k] = self.finished(record) > 1 / 2
         self.changed(record)

@@ -129,7 +129,7 @@ class SeenSuggestions:
         if action is None or offer is None or not seen:
             return None
         problem, row = record.problem, team.row(record)
-        suggested = int(problem.policy.pomdp.suggested[row, offer.robot])
+        suggested = int(problem.policy.pomdp.suggested[row, offer.said])
         if suggested == NOTHING or team.stopped(record):
             return None
         slot = problem.slot(row, action)

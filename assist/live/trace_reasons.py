@@ -35,7 +35,7 @@ class TraceReasons:
         self._problems: dict[int, LiveTask] = {}
 
     def __call__(
-        self, team: TeamState, row: int, place: int, robot: int, *, number: int, names: Sequence[str], rule: str,
+        self, team: TeamState, row: int, place: int, action: int, *, robot: int, names: Sequence[str], rule: str,
         policy: TeamPolicy,
     ) -> dict[str, Any]:  # fmt: skip
         """Return why a person gets a suggestion, as data and as a text; arguments as `simulate` passes them.
@@ -46,9 +46,9 @@ class TraceReasons:
             The teams before the decision.
         row, place : int
             The team, and the person's place in it.
-        robot : int
+        action : int
             The robot action.
-        number : int
+        robot : int
             Which robot of the team it is, from 0.
         names : sequence of str
             Names of the team's people.
@@ -59,15 +59,15 @@ class TraceReasons:
         # The models of people who are not active may have no problem in this step, and none is looked at.
         model, own = np.unique(np.where(team.active[row], team.model[row], team.model[row, place]), return_inverse=True)
         policies = [team.policies[one] for one in model.tolist()]
-        here, travel = int(team.location[row, number]), team.travel
+        here, travel = int(team.location[row, robot]), team.travel
         count = len(names)
         point = DecisionPoint(
             tuple(names), tuple(self._problem(int(model[one])) for one in own), policies,
             team.beliefs.of(row * count + np.arange(count)), own, np.zeros(count, dtype=np.int64), team.active[row],
-            ~team.active[row], {}, here, travel.costs_of(number, here), rule,
-            float(team.fleet.extra[number, SUGGESTION]), lambda: policy,
+            ~team.active[row], {}, here, travel.costs_of(robot, here), rule,
+            float(team.fleet.extra[robot, SUGGESTION]), lambda: policy,
         )  # fmt: skip
-        found = point.suggested(place, robot, arrived=True)
+        found = point.suggested(place, action, arrived=True)
         plain = {name: part for name, part in found.as_dict().items() if part is not None}
         return {"text": found.text(), **plain}
 

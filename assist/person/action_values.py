@@ -29,9 +29,9 @@ class Work(NamedTuple):
 
 
 @njit()
-def new_work(robots: int, thetas: int) -> Work:
+def new_work(actions: int, thetas: int) -> Work:
     """Return empty arrays for a number of robot actions and of thetas."""
-    return Work(np.empty((robots, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas))
+    return Work(np.empty((actions, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas))
 
 
 # One function, since value iteration took 1.5 to 2 times as long with its inner loops in a function of their own.

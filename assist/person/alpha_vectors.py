@@ -35,7 +35,7 @@ class VectorPolicy(Policy):
     pomdp : AssistPOMDP
     vectors : float array, shape (m, H, T)
         Alpha vectors, sorted by state. They hold values in cost units, that is, minus costs.
-    robot : int array, shape (m,)
+    action : int array, shape (m,)
         First robot action of each vector's plan.
     first : int array, shape (n + 1,)
         The vectors of state x are `vectors[first[x] : first[x + 1]]`. A state in which all
@@ -49,16 +49,16 @@ class VectorPolicy(Policy):
 
     pomdp: AssistPOMDP
     vectors: Floats
-    robot: NDArray[np.int64]
+    action: NDArray[np.int64]
     first: NDArray[np.int64]
 
     __repr__ = outline
 
     def __post_init__(self) -> None:
-        states, count, hidden = len(self.pomdp.robot_actions), len(self.robot), self.pomdp.prior.shape
+        states, count, hidden = len(self.pomdp.robot_actions), len(self.action), self.pomdp.prior.shape
         if self.vectors.shape != (count, *hidden) or self.first.shape != (states + 1,):
             raise ValueError(
-                f"vectors {self.vectors.shape}, robot {self.robot.shape}, first {self.first.shape}: expected "
+                f"vectors {self.vectors.shape}, action {self.action.shape}, first {self.first.shape}: expected "
                 f"({count}, {hidden[0]}, {hidden[1]}), ({count},) and ({states + 1},)"
             )
         if self.first[0] != 0 or self.first[-1] != count or (np.diff(self.first) < 0).any():
@@ -67,9 +67,9 @@ class VectorPolicy(Policy):
         if without.any():
             raise ValueError(f"state {int(without.argmax())}: expected one alpha vector or more")
         state = np.repeat(np.arange(states), np.diff(self.first))
-        if ((self.robot < 0) | (self.robot >= self.pomdp.robot_actions[state])).any():
-            raise ValueError("robot: expected actions that the vectors' states have")
-        for array in (self.vectors, self.robot, self.first):
+        if ((self.action < 0) | (self.action >= self.pomdp.robot_actions[state])).any():
+            raise ValueError("action: expected robot actions that the vectors' states have")
+        for array in (self.vectors, self.action, self.first):
             array.flags.writeable = False
 
     def __getstate__(self) -> dict[str, object]:
@@ -104,7 +104,7 @@ class VectorPolicy(Policy):
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
         """Return the robot action of each person's best vector, shape (N,); 0 where the task has ended."""
         best = self._best(x, belief)[1]
-        return np.where(best >= 0, self.robot[best], 0) if len(self.robot) else np.zeros(len(x), dtype=np.int64)
+        return np.where(best >= 0, self.action[best], 0) if len(self.action) else np.zeros(len(x), dtype=np.int64)
 
     def _best(self, x: NDArray[np.int64], belief: Floats) -> tuple[Floats, NDArray[np.int64]]:
         value, best = np.zeros(len(x)), np.full(len(x), -1, dtype=np.int64)

@@ -194,8 +194,8 @@ def _choices(choices: Choices, layout: TimeExpansion, ends: Bools) -> Choices:
 def _require_memory(alone: AssistPOMDP, layout: TimeExpansion) -> None:
     """Raise a `LimitError` if a problem exceeds the available memory."""
     types, thetas = alone.prior.shape
-    slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
-    needed = policy_bytes(len(layout), slots=slots, robots=robots, betas=types, thetas=thetas)
+    slots, actions = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
+    needed = policy_bytes(len(layout), slots=slots, actions=actions, betas=types, thetas=thetas)
     if needed > 100e6:  # below this, the available memory is not queried
         require_room(
             f"a person's problem with a robot that comes and goes has {len(layout):,} states, with ways of up to "

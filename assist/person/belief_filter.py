@@ -33,20 +33,20 @@ FAST = {"reassoc", "contract"}
 # A session has the same beliefs after a restart, bit for bit, so sums have one order here. With reassociation, it would
 # depend on where the arrays are in memory: compiled code adds otherwise if they might overlap.
 @njit(forceinline=True)
-def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> float:
+def posterior(belief: Floats, after: Floats, x: int, action: int, slot: int, m: ProblemArrays) -> float:
     """Fill in the unnormalised posterior after one choice; return its mass, the probability of the choice.
 
     Parameters
     ----------
     belief, after : float arrays, shape (H * T,)
         The belief, and the array for its posterior.
-    x, robot, slot : int
+    x, action, slot : int
         The person's state, the robot action towards them (0: nothing), and the slot of their choice.
     m : ProblemArrays
         Their problem.
     """
     thetas, mass = len(m.theta), 0.0
-    acting, suggested = m.afterstate[x, robot], m.suggested[x, robot]
+    acting, suggested = m.afterstate[x, action], m.suggested[x, action]
     steady, uniform = 1.0 - m.lapse, m.lapse / m.counts[acting]
     if suggested < 0 and not m.sees_silence:
         for h in range(len(belief) // thetas):
@@ -61,7 +61,7 @@ def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: P
     for cell in range(len(belief)):
         after[cell] = 0.0
     for h in range(len(belief) // thetas):
-        p, others, g, first = m.chosen[x, suggested, h], m.unsuggested[x, robot, h], m.goal_of[h], h * thetas
+        p, others, g, first = m.chosen[x, suggested, h], m.unsuggested[x, action, h], m.goal_of[h], h * thetas
         plain = steady * m.chosen[acting, slot, h]
         for t in range(thetas):
             joint = belief[first + t]
@@ -70,10 +70,10 @@ def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: P
             follow_factor, decline_factor = factors_after(suggested, m.theta[t], p, others)
             if slot == suggested:
                 joint *= plain * follow_factor + uniform
-                at, up = first + m.followed_low[x, robot, g, t], m.followed_weight[x, robot, g, t]
+                at, up = first + m.followed_low[x, action, g, t], m.followed_weight[x, action, g, t]
             else:
                 joint *= plain * decline_factor + uniform
-                at, up = first + m.low[x, robot, g, t], m.weight[x, robot, g, t]
+                at, up = first + m.low[x, action, g, t], m.weight[x, action, g, t]
             mass += joint
             after[at] += joint * (1.0 - up)
             after[at + 1] += joint * up
@@ -81,12 +81,12 @@ def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: P
 
 
 @njit(forceinline=True)
-def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> None:
+def update(belief: Floats, after: Floats, x: int, action: int, slot: int, m: ProblemArrays) -> None:
     """Replace a belief by its posterior after one choice; arguments as in `posterior`.
 
     `after` is a work array. A choice of probability 0 raises an `ImpossibleObservationError`.
     """
-    mass = posterior(belief, after, x, robot, slot, m)
+    mass = posterior(belief, after, x, action, slot, m)
     if not mass > 0.0:
         raise ImpossibleObservationError(
             "an action has probability 0 under the belief; a lapse rate above 0 in the model rules this out"
@@ -118,15 +118,15 @@ def update_seen(
     flat = belief.reshape(len(belief), belief.shape[1] * belief.shape[2])
     after = np.empty(flat.shape[1])
     for n, i in enumerate(rows):
-        x, robot, slot = acts.x[n], acts.heard[n], acts.slot[n]
+        x, action, slot = acts.x[n], acts.heard[n], acts.slot[n]
         erred[i] = False
         if slot < 0:
             continue
-        acting = m.afterstate[x, robot]
+        acting = m.afterstate[x, action]
         known = belief[i] if len(belief) > 0 else possible
         erred[i] = is_mistake(optimal[acting, slot], known, acting, m.goal, m.goal_of)
         if len(belief) > 0:
-            update(flat[i], after, x, robot, slot, m)
+            update(flat[i], after, x, action, slot, m)
             if acts.goes_on[n]:
                 exclude_reached(belief[i], m.targets[acting, slot], m.goal, m.goal_of)
 
@@ -148,7 +148,7 @@ def new_parts(size: int, uses_answer: bool) -> Parts:
 
 
 @njit()
-def split(parts: Parts, belief: Floats, x: int, robot: int, m: ProblemArrays) -> tuple[int, int]:
+def split(parts: Parts, belief: Floats, x: int, action: int, m: ProblemArrays) -> tuple[int, int]:
     """Split a belief by the person's answer to a robot action, for the posteriors after all choices.
 
     Let p be the probability of slot a without a suggestion, which depends on the type. After this choice, the
@@ -166,7 +166,7 @@ def split(parts: Parts, belief: Floats, x: int, robot: int, m: ProblemArrays) ->
     parts : Parts
         They are filled in.
     belief : float array, shape (H * T,)
-    x, robot : int
+    x, action : int
         The person's state and the robot action.
     m : ProblemArrays
 
@@ -177,7 +177,7 @@ def split(parts: Parts, belief: Floats, x: int, robot: int, m: ProblemArrays) ->
     """
     thetas = len(m.theta)
     followed, declined, complied, lapsed = parts
-    acting, suggested = m.afterstate[x, robot], m.suggested[x, robot]
+    acting, suggested = m.afterstate[x, action], m.suggested[x, action]
     steady, uniform = 1.0 - m.lapse, m.lapse / max(m.counts[acting], 1)
     if suggested < 0 and not m.sees_silence:
         for cell in range(len(belief)):
@@ -194,15 +194,15 @@ def split(parts: Parts, belief: Floats, x: int, robot: int, m: ProblemArrays) ->
         h, t = cell // thetas, cell % thetas
         g = m.goal_of[h]
         follow_factor, decline_factor = factors_after(
-            suggested, m.theta[t], m.chosen[x, suggested, h], m.unsuggested[x, robot, h]
+            suggested, m.theta[t], m.chosen[x, suggested, h], m.unsuggested[x, action, h]
         )
-        at, up = cell - t + m.followed_low[x, robot, g, t], m.followed_weight[x, robot, g, t]
+        at, up = cell - t + m.followed_low[x, action, g, t], m.followed_weight[x, action, g, t]
         followed[at] += steady * follow_factor * (1.0 - up) * mass
         followed[at + 1] += steady * follow_factor * up * mass
         if m.uses_answer:
             complied[at] += uniform * (1.0 - up) * mass
             complied[at + 1] += uniform * up * mass
-            at, up = cell - t + m.low[x, robot, g, t], m.weight[x, robot, g, t]
+            at, up = cell - t + m.low[x, action, g, t], m.weight[x, action, g, t]
         declined[at] += steady * decline_factor * (1.0 - up) * mass
         declined[at + 1] += steady * decline_factor * up * mass
         lapsed[at] += uniform * (1.0 - up) * mass

@@ -68,7 +68,7 @@ def factors_of(theta: Floats, p: Floats, others: Floats) -> tuple[Floats, Floats
     return followed, np.minimum(declined, LARGEST)
 
 
-def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArrays) -> tuple[Floats, Floats]:
+def posteriors(belief: Floats, x: Ints, action: Ints, slot: Ints, m: ProblemArrays) -> tuple[Floats, Floats]:
     """Return unnormalised posteriors after one choice each, shape (N, H, T), and their masses, shape (N,).
 
     They are the belief times the likelihood under the theta before, with theta then moved by `low` and `weight`. Where
@@ -77,12 +77,12 @@ def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArray
     Parameters
     ----------
     belief : float array, shape (N, H, T)
-    x, robot, slot : int arrays, shape (N,)
+    x, action, slot : int arrays, shape (N,)
         States, the robot actions towards the people, and the slots of their choices.
     m : ProblemArrays
     """
     cells, (types, thetas) = belief, belief.shape[1:]
-    acting, suggested = m.afterstate[x, robot], m.suggested[x, robot]
+    acting, suggested = m.afterstate[x, action], m.suggested[x, action]
     steady, uniform = 1.0 - m.lapse, m.lapse / m.counts[acting]
     after, mass = np.empty_like(cells), np.empty(len(x))
 
@@ -95,18 +95,18 @@ def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArray
     rows = np.flatnonzero(~stays)
     if not len(rows):
         return after, mass
-    x, robot, slot, acting = x[rows], robot[rows], slot[rows], acting[rows]
+    x, action, slot, acting = x[rows], action[rows], slot[rows], acting[rows]
     suggested, uniform = suggested[rows], uniform[rows]
     answers, silent = (slot == suggested)[:, None], (suggested < 0)[:, None, None]
     # After a suggestion people act in x itself: there `afterstate` is x.
-    factors = factors_of(m.theta, m.chosen[x, suggested][:, :, None], m.unsuggested[x, robot][:, :, None])
+    factors = factors_of(m.theta, m.chosen[x, suggested][:, :, None], m.unsuggested[x, action][:, :, None])
     factor = np.where(silent, 1.0, np.where(answers[:, :, None], *factors))
     plain = steady * m.chosen[acting, slot]
     joint = cells[rows] * (plain[:, :, None] * factor + uniform[:, None, None])
     mass[rows] = in_order(joint.reshape(len(rows), types * thetas))
     followed = answers[:, :, None]
-    at = np.where(followed, m.followed_low[x, robot], m.low[x, robot])[:, m.goal_of]
-    up = np.where(followed, m.followed_weight[x, robot], m.weight[x, robot])[:, m.goal_of]
+    at = np.where(followed, m.followed_low[x, action], m.low[x, action])[:, m.goal_of]
+    up = np.where(followed, m.followed_weight[x, action], m.weight[x, action])[:, m.goal_of]
     parts = np.stack([joint * (1.0 - up), joint * up], axis=-1)
     first = np.arange(len(rows) * types).reshape(-1, types, 1, 1) * thetas
     places = first + np.stack([at, at + 1], axis=-1)
@@ -115,12 +115,12 @@ def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArray
     return after, mass
 
 
-def updated(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArrays) -> Floats:
+def updated(belief: Floats, x: Ints, action: Ints, slot: Ints, m: ProblemArrays) -> Floats:
     """Return the beliefs, shape (N, H, T), after one choice each; arguments as in `posteriors`.
 
     A choice of probability 0 raises an `ImpossibleObservationError`.
     """
-    after, mass = posteriors(belief, x, robot, slot, m)
+    after, mass = posteriors(belief, x, action, slot, m)
     if not (mass > 0.0).all():
         raise ImpossibleObservationError(IMPOSSIBLE)
     return after * (1.0 / mass)[:, None, None]

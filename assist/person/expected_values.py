@@ -44,11 +44,11 @@ def expected_of_few(table: Floats, robot_actions: NDArray[np.int64], x: NDArray[
 
 
 @njit(nogil=True, fastmath={"reassoc", "contract"})
-def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, robots: NDArray[np.int64]) -> None:
+def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, actions: NDArray[np.int64]) -> None:
     """Fill `q`, shape (N, R), with the expected entries of a table of shape (n, R, H * T)."""
     for i in range(len(x)):
         b = belief[i]
-        for r in range(robots[x[i]]):
+        for r in range(actions[x[i]]):
             row = table[x[i], r]
             total = 0.0
             for cell in range(len(b)):

@@ -181,15 +181,15 @@ class GrowingProblem(ProblemRows):
                 self._snapshot, self._version = self._taken(), self._rows.version
             return self._snapshot
 
-    def effects(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
+    def effects(self, x: Ints, action: Ints) -> tuple[Ints, Ints]:
         """Compute the effects of robot actions on trust in some rows, both of shape (N,), and what their targets need.
 
         The rows are held. What is returned is described in `ProblemRows`.
         """
-        said = np.flatnonzero(robot)
+        said = np.flatnonzero(action)
         with self._lock:
-            then = self._then(x[said])[np.arange(len(said)), robot[said]]
-            silent = ~self._rows["effect_known"][x[said], robot[said]]
+            then = self._then(x[said])[np.arange(len(said)), action[said]]
+            silent = ~self._rows["effect_known"][x[said], action[said]]
             if silent.any():
                 places = self._rows.place_of
                 self._learn(np.unique(places[x[said][silent]]), then=places[then[silent]])
@@ -306,14 +306,14 @@ class GrowingProblem(ProblemRows):
         """Store the effects on trust of those robot actions whose successors are no leaves."""
         slot = np.maximum(pomdp.suggested, pomdp.executed(np.arange(len(row))))
         targets = np.take_along_axis(pomdp.model.choices.targets, np.maximum(slot, 0), axis=1)
-        at, robot = np.nonzero((slot != NOTHING) & inside[targets] & inside[:, None])
-        new = ~self._rows["effect_known"][row[at], robot]
-        at, robot = at[new], robot[new]
+        at, action = np.nonzero((slot != NOTHING) & inside[targets] & inside[:, None])
+        new = ~self._rows["effect_known"][row[at], action]
+        at, action = at[new], action[new]
         for name in TRUST:
             values = getattr(pomdp, name)
             if values is not None:
-                self._rows[name][row[at], robot] = values[at, robot]
-        self._rows["effect_known"][row[at], robot] = True
+                self._rows[name][row[at], action] = values[at, action]
+        self._rows["effect_known"][row[at], action] = True
 
     def _taken(self) -> Snapshot:
         rows, pomdp = self._rows, self.first

@@ -35,7 +35,7 @@ class Trial(NamedTuple):
     state: NDArray[np.int64]
     belief: Floats
     bound: Floats  # upper bound at the belief
-    robot: NDArray[np.int64]
+    action: NDArray[np.int64]
     chance: Floats  # probability of the child that the trial enters, and that the person goes on there
     q: Floats  # upper bound on the Q-value of each robot action
     known: NDArray[np.bool_]  # whether `q` was computed from the children
@@ -86,22 +86,22 @@ class Room(NamedTuple):
     vector: Floats
 
 
-def new_trial(depth: int, size: int, robots: int, slots: int) -> Trial:
+def new_trial(depth: int, size: int, actions: int, slots: int) -> Trial:
     """Return an empty trial of up to `depth` steps.
 
-    Beliefs have `size` entries, and there are `robots` robot actions and `slots` choices of the person.
+    Beliefs have `size` entries, and there are `actions` robot actions and `slots` choices of the person.
     """
     return Trial(
         state=np.empty(depth, dtype=np.int64),
         belief=np.empty((depth, size)),
         bound=np.empty(depth),
-        robot=np.empty(depth, dtype=np.int64),
+        action=np.empty(depth, dtype=np.int64),
         chance=np.empty(depth),
-        q=np.empty((depth, robots)),
-        known=np.empty((depth, robots), dtype=bool),
-        child=np.empty((depth, robots, slots)),
-        after=np.empty((depth, robots, slots, size)),
-        mass=np.empty((depth, robots, slots)),
+        q=np.empty((depth, actions)),
+        known=np.empty((depth, actions), dtype=bool),
+        child=np.empty((depth, actions, slots)),
+        after=np.empty((depth, actions, slots, size)),
+        mass=np.empty((depth, actions, slots)),
     )
 
 
@@ -148,10 +148,10 @@ def _bound_above(d, r, room, trial, hull, m):
 @njit()
 def most_promising(d, room, trial, hull, m):
     """Return the robot action with the largest upper bound, and evaluate the children of as few as possible."""
-    robots = m.robot_actions[trial.state[d]]
+    actions = m.robot_actions[trial.state[d]]
     while True:
         r = ZERO
-        for k in range(1, robots):
+        for k in range(1, actions):
             if trial.q[d, k] > trial.q[d, r]:
                 r = k
         if trial.known[d, r]:
@@ -243,17 +243,17 @@ def _entry_where_theta_moves(parts, x, r, h, t, m):
 def _backup_lower(d, step, room, trial, vectors, m):
     """Back up the lower bound at one depth of the trial; return whether it improved by more than `step`."""
     x, belief = trial.state[d], trial.belief[d]
-    best, robot = -np.inf, NEITHER
+    best, action = -np.inf, NEITHER
     for r in range(m.robot_actions[x]):
         if trial.q[d, r] > best:
             value = _bound_below(d, r, room, trial, vectors, m)
             if value > best:
-                best, robot = value, r
+                best, action = value, r
                 copied(room.kept, room.picked)
     if not best > lower(x, belief, vectors)[0] + step + 4 * rounding(len(belief) + m.targets.shape[1]) * abs(best):
         return False
-    _backup_vector(x, robot, room, vectors, m)
-    add_vector(x, robot, room.vector, belief, vectors)
+    _backup_vector(x, action, room, vectors, m)
+    add_vector(x, action, room.vector, belief, vectors)
     return True
 
 
@@ -298,7 +298,7 @@ def trials(x0, prior, enough, backups, fineness, rng, s):
     while done < backups:
         trial.bound[0] = upper(x0, prior, hull, room.program)
         gap = trial.bound[0] - lower(x0, prior, vectors)[0]
-        short = min(len(vectors.robot) - vectors.space[0], len(hull.drop) - hull.space[0]) < len(trial.state)
+        short = min(len(vectors.action) - vectors.space[0], len(hull.drop) - hull.space[0]) < len(trial.state)
         if gap <= enough or short:
             break
         trial.state[0] = x0
@@ -324,7 +324,7 @@ def _descend(gap, fineness, rng, room, s):
     while True:
         x = trial.state[depth]
         r = most_promising(depth, room, trial, s.hull, m)
-        trial.robot[depth] = r
+        trial.action[depth] = r
         acting = m.afterstate[x, r]
         if m.ends[acting] or depth + 1 == len(trial.state):
             break
@@ -363,7 +363,7 @@ def _ascend(depth, target, fineness, room, s):
     margin = rounding(hull.corner.shape[1] + m.targets.shape[1])
     for d in range(depth, -1, -1):
         x, belief = trial.state[d], trial.belief[d]
-        trial.q[d, trial.robot[d]] -= m.gamma * trial.chance[d] * lowered if d < depth else 0.0
+        trial.q[d, trial.action[d]] -= m.gamma * trial.chance[d] * lowered if d < depth else 0.0
         value = trial.q[d, most_promising(d, room, trial, hull, m)]
         value += margin * abs(value)
         step = fineness[0] * target
@@ -394,7 +394,7 @@ def renew(start, order, step, backups, s):
         x = order[at]
         if hull.head[x] == NONE:  # no trial has visited the state
             continue
-        short = len(vectors.robot) - vectors.space[0] < vectors.live[x]
+        short = len(vectors.action) - vectors.space[0] < vectors.live[x]
         if done >= backups or short:
             return at, done
         trial.state[0] = x

@@ -61,15 +61,15 @@ def value_iteration(
     The values of final states do not change. The other arguments are as in `qmdp`; `backup` is that of the problem, if
     it is known.
     """
-    robot, limits = np.full(len(value), BEST), Limits(tolerance, max_sweeps, deadline)
+    action, limits = np.full(len(value), BEST), Limits(tolerance, max_sweeps, deadline)
     if backup is None and tolerance <= ROUGH:
         backup = SparseBackup.of_small(pomdp)
-    return improve(value, regions(pomdp), robot, ProblemArrays.of(pomdp), limits, progress, backup=backup)
+    return improve(value, regions(pomdp), action, ProblemArrays.of(pomdp), limits, progress, backup=backup)
 
 
 def evaluate(
     pomdp: AssistPOMDP,
-    robot: Ints,
+    action: Ints,
     *,
     tolerance: float = 1e-4,
     deadline: float = math.inf,
@@ -80,7 +80,7 @@ def evaluate(
     Parameters
     ----------
     pomdp : AssistPOMDP
-    robot : int array, shape (n,)
+    action : int array, shape (n,)
         Robot action in each state.
     tolerance : float
         Largest error of any value, in cost units, as in `qmdp`.
@@ -106,7 +106,7 @@ def evaluate(
         value[pomdp.frontier.states] = pomdp.frontier.lower
     limits = Limits(tolerance, max_sweeps or MOST_SWEEPS, deadline)
     backup = SparseBackup.of_small(pomdp)
-    converged = improve(value, regions(pomdp), robot, arrays, limits, below=True, backup=backup)
+    converged = improve(value, regions(pomdp), action, arrays, limits, below=True, backup=backup)
     if not converged and max_sweeps is None and time.perf_counter() < deadline:
         raise RuntimeError(f"a policy's values have not converged after {MOST_SWEEPS} sweeps")
     return value - np.where(active[:, :, None], rounding_error(value, arrays), 0.0)

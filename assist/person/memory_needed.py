@@ -37,20 +37,20 @@ def require_room(what: str, needed: float, limit_mb: float, expected: str) -> No
         )
 
 
-def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6, thetas: int = 10) -> int:
+def policy_bytes(states: int, *, slots: int = 1, actions: int = 2, betas: int = 6, thetas: int = 10) -> int:
     """Return the memory of a person's problem and its QMDP policy in bytes; a lower bound if only `states` is given.
 
     Parameters
     ----------
     states : int
-    slots, robots : int
+    slots, actions : int
         Largest numbers of choices of the person, and of the robot, in a state.
     betas, thetas : int
         Size of the grid; by default that of `Grid.regular`.
     """
     # cost, afterstate and slot; `unsuggested`; the trust update
     hidden, of_a_robot = betas * thetas, 3 + betas + 2 * thetas
-    return 8 * states * (1 + slots * (1 + betas) + robots * of_a_robot + (1 + robots) * hidden)
+    return 8 * states * (1 + slots * (1 + betas) + actions * of_a_robot + (1 + actions) * hidden)
 
 
 def states_within(limit_mb: float, goals: Sized, models: int) -> int:
@@ -72,9 +72,9 @@ def states_within(limit_mb: float, goals: Sized, models: int) -> int:
 def first_bounds_bytes(pomdp: AssistPOMDP, depth: int = SolverOptions.depth) -> int:
     """Return the approximate memory, in bytes, that `solve` needs before its search begins."""
     slots, hidden = pomdp.model.choices.targets.shape[1], pomdp.prior.size
-    states, robots = pomdp.suggested.shape
+    states, actions = pomdp.suggested.shape
     # QMDP's values and a copy; the corners; vectors and witnesses of four policies; the values of one policy.
-    return 8 * hidden * (states * (2 * robots + 12) + depth * (8 + robots * slots))
+    return 8 * hidden * (states * (2 * actions + 12) + depth * (8 + actions * slots))
 
 
 def depth_within(pomdp: AssistPOMDP, limit_mb: float) -> int:

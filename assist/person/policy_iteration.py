@@ -87,7 +87,7 @@ SMALL = 20_000  # values; the sweeps over fewer take less time than to start thr
 def improve(
     value: Floats,
     regions: Sequence[tuple[Ints, Ints]],
-    robot: Ints,
+    action: Ints,
     arrays: ProblemArrays,
     limits: Limits,
     progress: Progress | None = None,
@@ -105,14 +105,14 @@ def improve(
     value : float array, shape (n, H, T)
     regions : sequence of pairs of int arrays
         States in the order of a sweep for each goal: the dead ends, and all other states that are not final.
-    robot : int array, shape (n,)
+    action : int array, shape (n,)
         Robot action in each state; `BEST` stands for the best one.
     arrays : ProblemArrays
     limits : Limits
     progress : callable, optional
         Receives the number of sweeps at most five times a second.
     below : bool
-        Whether lower bounds are wanted, of the policy `robot`.
+        Whether lower bounds are wanted, of the policy `action`.
     backup : SparseBackup, optional
         That of the arrays, by which a small problem is solved in numpy.
     """
@@ -129,7 +129,7 @@ def improve(
             progress(SOLVING, swept, None)
 
     if backup is not None:
-        return improve_small(value, robot, arrays, backup, limits, stop, count, below=below)
+        return improve_small(value, action, arrays, backup, limits, stop, count, below=below)
     of_goals = [_of_goal(arrays, goal) for goal in range(len(regions))]
 
     def one(h: int) -> bool:
@@ -140,7 +140,9 @@ def improve(
         dead, alive = regions[goal]
         done = True
         for order in (dead, alive):
-            region = _Region(own, read_only(order, np.int64), read_only(robot, np.int64), m, limits, stop, count, below)
+            region = _Region(
+                own, read_only(order, np.int64), read_only(action, np.int64), m, limits, stop, count, below
+            )
             done = region.iterate(order is dead) and done
         value[:, h] = own[:, 0]
         return done
@@ -192,7 +194,7 @@ class _Region:
 
     value: Floats
     order: Ints
-    robot: Ints
+    action: Ints
     m: ProblemArrays
     limits: Limits
     stop: Callable[[], bool]
@@ -206,7 +208,7 @@ class _Region:
             return True
         horizon, exact = m.gamma / (1 - m.gamma), rounding(m.targets.shape[1]) / (1 - m.gamma)
         outwards = -horizon if self.below else horizon
-        first = np.maximum(self.robot, 0).astype(np.int32)
+        first = np.maximum(self.action, 0).astype(np.int32)
         found, policy = self.value.copy(), first.repeat(len(m.theta)).reshape(-1, len(m.theta))
         equations, room = None, _room(order, m)
         few = int(room.sum()) * len(m.theta) <= MOST_ENTRIES
@@ -215,7 +217,7 @@ class _Region:
         for number in range(self.limits.sweeps):
             if self.stop():
                 return False
-            rise, fall, changed = sweep(found, order, ONLY, self.robot, policy, NOWHERE, m)
+            rise, fall, changed = sweep(found, order, ONLY, self.action, policy, NOWHERE, m)
             self.count()
             off = 0.0 if not solved else fall if self.below else rise
             change = max(rise, fall)
@@ -245,7 +247,7 @@ class _Region:
 
         Return whether the policy is to do nothing and theta has no effect on its values, and whether they were solved.
         """
-        m, order, asked = self.m, self.order, self.robot[self.order]
+        m, order, asked = self.m, self.order, self.action[self.order]
         outside = np.ones(len(found), dtype=bool)
         outside[order] = False
         silent = not policy[order].any() and not np.ptp(found[outside], axis=2).any()
@@ -360,7 +362,7 @@ def _solved(value: Floats, rows: _Rows, goal: float, stop: Callable[[], bool]) -
 
 @njit(nogil=True, error_model="numpy")
 def sweep(
-    value: Floats, order: Ints, h: int, robot: Ints, policy: NDArray[np.int32], q: Floats, m: ProblemArrays
+    value: Floats, order: Ints, h: int, action: Ints, policy: NDArray[np.int32], q: Floats, m: ProblemArrays
 ) -> tuple[float, float, int]:
     """Do a Bellman backup of every state of an order for one type; `policy`, shape (n, T), receives the robot actions.
 
@@ -369,10 +371,10 @@ def sweep(
     the type, a suggestion costs, and does no more.
 
     Return the largest rise and the largest fall of a value, and the number of changes of the policy. A negative entry
-    of `robot` stands for the best action. Actions that are equal up to rounding do not change the policy.
+    of `action` stands for the best action. Actions that are equal up to rounding do not change the policy.
     """
-    robots, thetas, least = m.suggested.shape[1], len(m.theta), compiled_rounding(m.targets.shape[1])
-    work = new_work(robots, thetas)
+    actions, thetas, least = m.suggested.shape[1], len(m.theta), compiled_rounding(m.targets.shape[1])
+    work = new_work(actions, thetas)
     row = work.q
     rise, fall, changed = 0.0, 0.0, 0
     for x in order:
@@ -381,13 +383,13 @@ def sweep(
                 for t in range(thetas):
                     row[r, t] = value[x, h, t] - (m.robot_costs[x, r] if r > 0 else 0.0)
         else:
-            action_values(work, value, x, h, robot[x], m)
+            action_values(work, value, x, h, action[x], m)
         if len(q) > 0:
-            for r in range(robots):
+            for r in range(actions):
                 for t in range(thetas):
                     q[x, r, h, t] = row[r, t] if r < m.robot_actions[x] else -np.inf
             continue
-        first, end = (robot[x], robot[x] + 1) if robot[x] >= 0 else (0, m.robot_actions[x])
+        first, end = (action[x], action[x] + 1) if action[x] >= 0 else (0, m.robot_actions[x])
         for t in range(thetas):
             best, which = row[first, t], first
             for r in range(first + 1, end):

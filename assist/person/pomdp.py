@@ -185,21 +185,21 @@ class AssistPOMDP:
         ends.flags.writeable = False
         return ends
 
-    def likelihood(self, x: Ints, robot: Ints, slot: Ints) -> Floats:
-        """Return the likelihood P(slot | x, robot, type, theta), shape (N, H, T).
+    def likelihood(self, x: Ints, action: Ints, slot: Ints) -> Floats:
+        """Return the likelihood P(slot | x, action, type, theta), shape (N, H, T).
 
         It combines choice and influence (equations 5 and 6) with the model's lapse rate.
 
         Parameters
         ----------
-        x, robot, slot : int arrays, shape (N,)
+        x, action, slot : int arrays, shape (N,)
             Task state, robot action (0: nothing), and slot of the person's choice.
         """
-        suggestion, acting = self.suggested[x, robot], self.afterstate[x, robot]
+        suggestion, acting = self.suggested[x, action], self.afterstate[x, action]
         p = self.chosen[acting, slot][:, :, None]
         followed = self.chosen[acting, np.maximum(suggestion, 0)][:, :, None]
         theta = self.grid.theta
-        total = theta * followed + (1 - theta) * self.unsuggested[x, robot][:, :, None]
+        total = theta * followed + (1 - theta) * self.unsuggested[x, action][:, :, None]
         weight = np.where((slot == suggestion)[:, None, None], theta, 1 - theta)
         heard = (suggestion != NOTHING)[:, None, None] & (total > 0)
         influenced = np.divide(
@@ -209,15 +209,15 @@ class AssistPOMDP:
         count = self.model.choices.applicable[acting].sum(axis=1)[:, None, None]
         return (1 - self.model.lapse) * likelihood + self.model.lapse / count
 
-    def update(self, belief: Floats, x: Ints, robot: Ints, slot: Ints) -> Floats:
+    def update(self, belief: Floats, x: Ints, action: Ints, slot: Ints) -> Floats:
         """Return the posterior beliefs, shape (N, H, T), after people's actions; arguments as in `likelihood`."""
-        low, weight = self.low[x, robot], self.weight[x, robot]
+        low, weight = self.low[x, action], self.weight[x, action]
         if self.followed_low is not None and self.followed_weight is not None:
-            follows = (slot == self.suggested[x, robot])[:, None, None]
-            low = np.where(follows, self.followed_low[x, robot], low)
-            weight = np.where(follows, self.followed_weight[x, robot], weight)
+            follows = (slot == self.suggested[x, action])[:, None, None]
+            low = np.where(follows, self.followed_low[x, action], low)
+            weight = np.where(follows, self.followed_weight[x, action], weight)
         of = self.hidden.goal_of
-        return beliefs.update(belief, self.likelihood(x, robot, slot), low[:, of], weight[:, of])
+        return beliefs.update(belief, self.likelihood(x, action, slot), low[:, of], weight[:, of])
 
     @cached_property
     def waits_for_free(self) -> bool:
@@ -248,14 +248,14 @@ class AssistPOMDP:
         first.flags.writeable = False
         return first
 
-    def suggestion(self, x: int, robot: int) -> str | None:
+    def suggestion(self, x: int, action: int) -> str | None:
         """Return the suggested action of a robot action, in PDDL notation; None if it suggests nothing."""
-        slot = int(self.suggested[x, robot])
+        slot = int(self.suggested[x, action])
         return None if slot == NOTHING else self.model.choices.name(x, slot)
 
-    def executes(self, x: int, robot: int) -> str | None:
+    def executes(self, x: int, action: int) -> str | None:
         """Return the action that a robot action executes, in PDDL notation; None if it executes nothing."""
-        slot = int(self.executed(np.array([x]))[0, robot])
+        slot = int(self.executed(np.array([x]))[0, action])
         return None if slot == NOTHING else self.model.choices.name(x, slot)
 
     def executed(self, x: Ints) -> Ints:

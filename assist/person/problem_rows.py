@@ -137,7 +137,7 @@ class ProblemRows(Protocol):
         """Return the place of each row, shape (N,)."""
         ...
 
-    def effects(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
+    def effects(self, x: Ints, action: Ints) -> tuple[Ints, Ints]:
         """Compute what robot actions do to trust in some rows, both of shape (N,), where it is not known yet.
 
         Return the rows, shape (m,), whose choices decide what happens and which are not lasting, after the index of the
@@ -165,8 +165,8 @@ class WholeProblem(ProblemRows):
     def extent(self) -> Extent:
         """The largest numbers that occur in the arrays."""
         h = self._choices.goals.h
-        most, robots = self.first.suggested.shape
-        return Extent(most, robots, float(h[np.isfinite(h)].max(initial=0.0)))
+        most, actions = self.first.suggested.shape
+        return Extent(most, actions, float(h[np.isfinite(h)].max(initial=0.0)))
 
     def bounded(
         self, entry: float, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
@@ -201,7 +201,7 @@ class WholeProblem(ProblemRows):
         """Return the rows."""
         return rows
 
-    def effects(self, x: Ints, robot: Ints) -> tuple[Ints, Ints]:
+    def effects(self, x: Ints, action: Ints) -> tuple[Ints, Ints]:
         """Return no rows: all is known."""
-        del x, robot
+        del x, action
         return NONE, NONE

@@ -75,8 +75,8 @@ class Search:
         self.q = (best.q_mdp + margin[:, None]).reshape(states, -1, size)
         self.hull = belief_hulls.empty_hull(corner, 2 * options.depth)
         self.vectors = vector_lists.empty_vectors(states, size, 4 * states + 2 * options.depth)
-        robots, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
-        self.trial = hsvi.new_trial(options.depth, size, robots, slots)
+        actions, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
+        self.trial = hsvi.new_trial(options.depth, size, actions, slots)
         order = np.concatenate([sweep_order(pomdp, goal) for goal in range(len(pomdp.final))])
         self.order = read_only(order[np.sort(np.unique(order, return_index=True)[1])])  # each state once
         self.renewed = len(self.order)  # position of the current renewal in this order
@@ -148,10 +148,10 @@ class Search:
         below, above = self.bounds(self.root, self.prior)
         self.lower, self.upper = max(self.lower, below), min(self.upper, above)
 
-    def begin(self, robot: Ints, deadline: float = math.inf, max_sweeps: int | None = None) -> float:
+    def begin(self, action: Ints, deadline: float = math.inf, max_sweeps: int | None = None) -> float:
         """Add the vectors of a policy that depends on x only; return a lower bound on its value at the root."""
-        value = evaluate(self.pomdp, robot, deadline=deadline, max_sweeps=max_sweeps).reshape(len(robot), -1)
-        vector_lists.add_vectors(value, robot, _own(self.pomdp.prior), self.vectors)
+        value = evaluate(self.pomdp, action, deadline=deadline, max_sweeps=max_sweeps).reshape(len(action), -1)
+        vector_lists.add_vectors(value, action, _own(self.pomdp.prior), self.vectors)
         there = float((value[self.root] * self.prior).sum())
         there -= rounding(2 * len(self.prior)) * abs(there)
         self.lower = max(self.lower, there)  # other sums of the same numbers may be lower by rounding

@@ -116,7 +116,7 @@ class Solution(Result, Policy):
         """Save the solution and its problem as arrays of one `.npz` file.
 
         For n states, m alpha vectors, H types and T values of theta: `policy.vectors` (m, H, T) are the alpha
-        vectors, sorted by state; `policy.robot` (m,) the robot action with which each plan begins; state x has the
+        vectors, sorted by state; `policy.action` (m,) the robot action with which each plan begins; state x has the
         vectors `policy.first[x]` to `policy.first[x + 1] - 1`. `corner` (n, H, T) is the upper bound where type and
         theta are known; `point` (p, H, T) and `drop` (p,) are beliefs with a lower upper bound and the differences,
         and `first` (n + 1,) the first belief of each state. `policy.pomdp...` is the problem, as documented at
@@ -170,7 +170,7 @@ class Solution(Result, Policy):
             "value_never": self.value_never,
             "value_always": self.value_always,
             "seconds": self.seconds,
-            "alpha_vectors": len(self.policy.robot),
+            "alpha_vectors": len(self.policy.action),
             "stopped": self.stopped,
         }
 
@@ -288,7 +288,7 @@ def result_of(search: Search, **facts: object) -> Solution:
     shape = (-1, *pomdp.prior.shape)
     kept, first = _sorted(search.vectors.state, states)
     policy = VectorPolicy(
-        pomdp, search.vectors.vector[kept].reshape(shape), search.vectors.robot[kept].astype(np.int64), first
+        pomdp, search.vectors.vector[kept].reshape(shape), search.vectors.action[kept].astype(np.int64), first
     )
     kept, first = _sorted(search.hull.state, states)
     return Solution(

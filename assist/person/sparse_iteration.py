@@ -78,7 +78,7 @@ class SparseBackup:
     ----------
     shape : tuple of int
         Shape of values (H, n, T).
-    x, robot : int array, shape (P,)
+    x, action : int array, shape (P,)
         State and robot action of each pair, in ascending order.
     first : int array, shape (n,)
         The first pair of each state.
@@ -91,7 +91,7 @@ class SparseBackup:
 
     shape: tuple[int, int, int]
     x: Ints
-    robot: Ints
+    action: Ints
     first: Ints
     matrix: Any
     reward: Floats
@@ -178,7 +178,7 @@ class SparseBackup:
         """
         h, x, t = np.nonzero(where)
         found, wanted = np.full(len(x), -1), best[where]
-        for r in range(int(self.robot.max(initial=0)) + 1):
+        for r in range(int(self.action.max(initial=0)) + 1):
             pair = np.minimum(self.first[x] + r, len(self.x) - 1)
             found[(found < 0) & (self.x[pair] == x) & (q[h, pair, t] == wanted)] = r
         return found
@@ -190,21 +190,21 @@ class SparseBackup:
         return np.asarray(pair * thetas + np.arange(thetas))
 
 
-def q_table(value: Floats, states: Ints, backup: SparseBackup, robots: int) -> Floats:
+def q_table(value: Floats, states: Ints, backup: SparseBackup, actions: int) -> Floats:
     """Return the Q-values in some states, shape (n, R, H, T), from values, shape (n, H, T); minus infinity in padding.
 
-    Those in other states are 0. `robots` is R, the largest number of robot actions.
+    Those in other states are 0. `actions` is R, the largest number of robot actions.
     """
-    q = np.zeros((len(value), robots, *value.shape[1:]))
+    q = np.zeros((len(value), actions, *value.shape[1:]))
     q[states] = -np.inf
     asked = np.isin(backup.x, states)
-    q[backup.x[asked], backup.robot[asked]] = backup.q_values(value.swapaxes(0, 1)).swapaxes(0, 1)[asked]
+    q[backup.x[asked], backup.action[asked]] = backup.q_values(value.swapaxes(0, 1)).swapaxes(0, 1)[asked]
     return q
 
 
 def improve_small(
     value: Floats,
-    robot: Ints,
+    action: Ints,
     m: ProblemArrays,
     backup: SparseBackup,
     limits: Limits,
@@ -221,11 +221,11 @@ def improve_small(
     active = ~m.final[m.goal_of][:, :, None]
     horizon = m.gamma / (1 - m.gamma)
     outwards, better = (-horizon, np.maximum) if below else (horizon, np.minimum)
-    given = bool((robot >= 0).all())
-    allowed = (robot[backup.x] < 0) | (robot[backup.x] == backup.robot)
+    given = bool((action >= 0).all())
+    allowed = (action[backup.x] < 0) | (action[backup.x] == backup.action)
     bounds = value.swapaxes(0, 1)
     found, solved, settled = bounds.copy(), False, False
-    policy = np.where(active, np.maximum(robot, 0)[:, None], np.zeros(found.shape, dtype=np.int64))
+    policy = np.where(active, np.maximum(action, 0)[:, None], np.zeros(found.shape, dtype=np.int64))
     for number in range(limits.sweeps):
         if stop():
             return False

@@ -372,8 +372,8 @@ def likely(alone: AssistPOMDP, steps: int, most: int) -> Bools:
 
 def _affordable(problem: AssistPOMDP, hidden: int, limits: BoundLimits) -> float:
     """Return the number of states on which beta and theta can be hidden, by the time and the memory that are left."""
-    states, robots = problem.suggested.shape
-    values = 8 * states * problem.prior.size * (robots + 2)  # Q-values of one more robot action, and values
+    states, actions = problem.suggested.shape
+    values = 8 * states * problem.prior.size * (actions + 2)  # Q-values of one more robot action, and values
     needed = 2 * (sum(array.nbytes for array in _arrays(problem)) + values)  # two positions of the robot: away and here
     in_time = 400 * limits.left  # the solver's time grows with the number of states
     return min(in_time, 0.3 * limits.kept_mb * 1e6 / needed * hidden)  # the rest of the memory is for the other parts

@@ -24,7 +24,7 @@ class AlphaVectors(NamedTuple):
 
     vector: Floats
     witness: Floats  # belief for which the vector was computed
-    robot: NDArray[np.int32]
+    action: NDArray[np.int32]
     state: NDArray[np.int32]  # -1: unused entry
     after: NDArray[np.int32]
     head: NDArray[np.int32]
@@ -38,7 +38,7 @@ def empty_vectors(states: int, size: int, capacity: int) -> AlphaVectors:
     return AlphaVectors(
         vector=np.empty((capacity, size)),
         witness=np.empty((capacity, size)),
-        robot=np.zeros(capacity, dtype=np.int32),
+        action=np.zeros(capacity, dtype=np.int32),
         state=np.full(capacity, NONE, dtype=np.int32),
         after=np.full(capacity, NONE, dtype=np.int32),
         head=np.full(states, NONE, dtype=np.int32),
@@ -80,7 +80,7 @@ def lower(x, belief, vectors):
 
 
 @njit()
-def add_vector(x, robot, vector, belief, vectors):
+def add_vector(x, action, vector, belief, vectors):
     """Add an alpha vector, computed for a belief, to a state, and remove the vectors that it dominates pointwise."""
     after, head, space, live = vectors.after, vectors.head, vectors.space, vectors.live
     before, i = NONE, head[x]
@@ -104,7 +104,7 @@ def add_vector(x, robot, vector, belief, vectors):
         space[0] += 1
     copied(vectors.vector[i], vector)
     copied(vectors.witness[i], belief)
-    vectors.robot[i], vectors.state[i] = robot, x
+    vectors.action[i], vectors.state[i] = action, x
     after[i], head[x] = head[x], i
     live[x] += 1
     if live[x] > vectors.limit[x]:
@@ -143,7 +143,7 @@ def _prune(x, vectors):
 
 
 @njit()
-def add_vectors(value, robot, belief, vectors):
+def add_vectors(value, action, belief, vectors):
     """Add one vector to each state."""
     for x in range(len(value)):
-        add_vector(x, robot[x], value[x], belief, vectors)
+        add_vector(x, action[x], value[x], belief, vectors)

@@ -62,8 +62,8 @@ def _choices(
     choices = choices_of(table, terms)
     require_goal(choices.h[choices.initial])
     offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
-    robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.fleet.executes)
-    one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
+    actions = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.fleet.executes)
+    one = policy_bytes(len(choices), slots=choices.applicable.shape[1], actions=actions)
     _require_room_for_policies(goals * one, len(choices), models, memory_limit_mb, goals)
     return choices
 

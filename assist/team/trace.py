@@ -24,7 +24,7 @@ class Reasons(Protocol):
     """Returns why a robot suggests what it does; `assist.live.TraceReasons` is one."""
 
     def __call__(
-        self, team: TeamState, row: int, place: int, robot: int, *, number: int, names: Sequence[str], rule: str,
+        self, team: TeamState, row: int, place: int, action: int, *, robot: int, names: Sequence[str], rule: str,
         policy: TeamPolicy,
     ) -> dict[str, Any]:  # fmt: skip
         """Return the reason for a robot action towards one person of a team, as plain data."""

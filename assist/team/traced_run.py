@@ -48,13 +48,11 @@ class Tracer:
         """Keep the reason of each suggestion for the record of the person who gets it, before the step is taken."""
         if self.reasons is None:
             return
-        for row, number in np.argwhere(action.action > 0).tolist():
-            k, robot, e = int(action.person[row, number]), int(action.action[row, number]), int(teams[row])
-            if team.policies[team.model[row, k]].pomdp.suggested[team.x[row, k], robot] != NOTHING:
+        for row, robot in np.argwhere(action.action > 0).tolist():
+            k, said, e = int(action.person[row, robot]), int(action.action[row, robot]), int(teams[row])
+            if team.policies[team.model[row, k]].pomdp.suggested[team.x[row, k], said] != NOTHING:
                 names = [self.names[one] for one in engine.people.number[e].tolist()]
-                reason = self.reasons(
-                    team, row, k, robot, number=number, names=names, rule=self.name, policy=self.policy
-                )
+                reason = self.reasons(team, row, k, said, robot=robot, names=names, rule=self.name, policy=self.policy)
                 self.said.setdefault((e, k), {})["explanation"] = reason
 
     def asked(self, engine: Engine, asked: Sequence[tuple[Asked, bool]]) -> None:

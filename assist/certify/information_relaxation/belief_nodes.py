@@ -281,8 +281,8 @@ def expand_node(node: int, nodes: NodeTable, relaxed: Relaxed) -> bool:
     known, m, order = relaxed.known, relaxed.m, relaxed.order
     points, size, x = len(known.drop), known.corner.shape[1], state_of(node, known)
     e, k = nodes.used[0], nodes.used[1]
-    robots = m.robot_actions[x]
-    if e + robots >= len(nodes.regret) or k + robots * order.shape[1] * 2 * size >= len(nodes.to):
+    actions = m.robot_actions[x]
+    if e + actions >= len(nodes.regret) or k + actions * order.shape[1] * 2 * size >= len(nodes.to):
         return False
     belief, after = np.zeros(size), np.empty(size)
     if node < points:
@@ -294,7 +294,7 @@ def expand_node(node: int, nodes: NodeTable, relaxed: Relaxed) -> bool:
     part, piece = np.empty(2 * size), np.empty(2 * size, np.int64)
     bound = bound_at(node, known)
     nodes.first[node] = e
-    for r in range(robots):
+    for r in range(actions):
         acting, q, cumulated = m.afterstate[x, r], -m.robot_costs[x, r], 0.0
         nodes.begin[e] = k
         if m.goal[0, acting]:  # the goal is known

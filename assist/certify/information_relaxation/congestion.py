@@ -210,11 +210,11 @@ class Congestion:
 
 @njit()
 def _attention_value(
-    node: int, x: int, price: float, top: float, nodes: NodeTable, attended: NDArray[np.bool_], robots: int
+    node: int, x: int, price: float, top: float, nodes: NodeTable, attended: NDArray[np.bool_], actions: int
 ) -> float:
     """Return the value G of attention at a node, at most `top` above its price."""
     with_it, without = np.inf, np.inf
-    for r in range(robots):
+    for r in range(actions):
         regret = nodes.regret[nodes.first[node] + r]
         if attended[x, r]:
             with_it = min(with_it, regret)
@@ -252,9 +252,9 @@ def _row(node: int, depth: int, rows: Rows, scale: Scale, price: Floats, nodes: 
         if not expand_node(n, nodes, relaxed):
             return False
         x = state_of(n, relaxed.known)
-        e, robots = nodes.first[n], m.robot_actions[x]
+        e, actions = nodes.first[n], m.robot_actions[x]
         best = e
-        for r in range(e + 1, e + robots):
+        for r in range(e + 1, e + actions):
             if nodes.regret[r] < nodes.regret[best]:
                 best = r
         ready = True
@@ -274,7 +274,7 @@ def _row(node: int, depth: int, rows: Rows, scale: Scale, price: Floats, nodes: 
             rows.of[n] = rows.used[0]
             rows.used[0] += 1
         row = rows.row[rows.of[n]]
-        attention_value = _attention_value(n, x, price[x], scale.level[levels], nodes, attended, robots)
+        attention_value = _attention_value(n, x, price[x], scale.level[levels], nodes, attended, actions)
         excess = attention_value - price[x]
         row[0] = min(1.0, max(0.0, -excess / price[x])) if price[x] > 0.0 else 1.0
         for i in range(levels):

@@ -128,14 +128,14 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemKi
     x = np.flatnonzero(~pomdp.ends)
     belief = np.broadcast_to(pomdp.prior, (len(x), *pomdp.prior.shape))
     for step in range(6):
-        robot = policy(step, x).choose(x, belief)
+        action = policy(step, x).choose(x, belief)
         own = visits.at_price([*price, 0.0, 0.0, 0.0][step])
         q = np.array([
             [_q(own, int(y), r, after[min(step + 1, 3)]) if r < pomdp.robot_actions[y] else -np.inf
              for r in range(pomdp.suggested.shape[1])]
             for y in x
         ])  # fmt: skip
-        best = q[np.arange(len(x)), robot]
+        best = q[np.arange(len(x)), action]
         np.testing.assert_allclose(best, q.max(axis=1), atol=1e-9)
         found = policy(step, x).q_values(x, belief)
         np.testing.assert_allclose(found[np.isfinite(q)], q[np.isfinite(q)], atol=1e-9)
@@ -144,12 +144,12 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemKi
     assert 0 < number[2] <= 1
 
 
-def _q(pomdp: Any, x: int, robot: int, then: np.ndarray) -> float:
+def _q(pomdp: Any, x: int, action: int, then: np.ndarray) -> float:
     """The Q-value of a robot action at the prior, by value iteration in which the robot has no other."""
     one = replace(
         pomdp,
         robot_actions=np.ones_like(pomdp.robot_actions),
-        **{name: getattr(pomdp, name)[:, [robot]] for name in (
+        **{name: getattr(pomdp, name)[:, [action]] for name in (
             "suggested", "afterstate", "robot_costs", "unsuggested", "low", "weight")},
     )  # fmt: skip
     return float((values(one, then, [x])[x] * pomdp.prior).sum())

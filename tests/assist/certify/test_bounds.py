@@ -93,9 +93,9 @@ def test_visits_are_what_a_team_of_one_is(pool: Pool, steps: int) -> None:
         assert team.belief is not None
         position = np.where(team.location[:, 0] == 0, HERE, AWAY)
         at = np.stack(states)[position, team.x[:, 0]]
-        robot = solution.choose(at, team.belief[:, 0])
-        person = np.where((robot > 0) | (position == HERE), 0, NOBODY)
-        said = np.where(position == HERE, np.maximum(robot - 1, 0), robot if steps == 0 else 0)
+        action = solution.choose(at, team.belief[:, 0])
+        person = np.where((action > 0) | (position == HERE), 0, NOBODY)
+        said = np.where(position == HERE, np.maximum(action - 1, 0), action if steps == 0 else 0)
         return TeamAction(person[:, None], said[:, None])
 
     run = simulate(one, act, humans=[0], episodes=2_000, seed=0, travel=travel, world="model")

@@ -240,7 +240,7 @@ def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Ch
     """One problem is rebuilt in every round while those of both people exist, so that three have to fit into memory."""
     travel, alone = SETTING.travel(2), pool.policies[0].pomdp
     states = len(TimeExpansion.of(alone, 2, 3))
-    one = policy_bytes(states, slots=choices.applicable.shape[1], robots=1 + alone.suggested.shape[1]) / 1e6
+    one = policy_bytes(states, slots=choices.applicable.shape[1], actions=1 + alone.suggested.shape[1]) / 1e6
     with pytest.raises(LimitError, match=rf"^2 problems of people, each of up to {states} states with 3 steps"):
         kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=0.999 * 3 * one)
     with pytest.raises(LimitError, match=r"^1 problem of people"):  # what its first bounds take, which is more

@@ -60,10 +60,10 @@ def exact(pomdp: AssistPOMDP, steps: int) -> tuple[float, float]:
             return np.array([(one[x] * weight).sum() for one in (least, most)])
         found = []
         at = np.array([x])
-        for robot in range(pomdp.robot_actions[x]):
-            total = np.full(2, -pomdp.robot_costs[x, robot] * mass)
+        for action in range(pomdp.robot_actions[x]):
+            total = np.full(2, -pomdp.robot_costs[x, action] * mass)
             for slot in np.flatnonzero(choices.applicable[x]):
-                with_robot = at, np.array([robot]), np.array([slot])
+                with_robot = at, np.array([action]), np.array([slot])
                 chance = float((weight * pomdp.likelihood(*with_robot)[0]).sum())
                 if chance > 0:
                     after = pomdp.update(weight[None] / mass, *with_robot)[0] * chance
@@ -210,15 +210,15 @@ def test_values_of_the_solution_are_those_of_a_plain_look_ahead() -> None:
     for x, own in enumerate(belief):
         reached = choices.goals.goal[:, x].repeat(len(pomdp.grid.beta))
         going = np.where(reached[:, None], 0.0, own)
-        for robot in range(pomdp.robot_actions[x]):
-            value = -pomdp.robot_costs[x, robot]
+        for action in range(pomdp.robot_actions[x]):
+            value = -pomdp.robot_costs[x, action]
             for slot in np.flatnonzero(choices.applicable[x]):
-                at = np.array([x]), np.array([robot]), np.array([slot])
+                at = np.array([x]), np.array([action]), np.array([slot])
                 chance = (going * pomdp.likelihood(*at)[0]).sum()
                 y = choices.targets[x : x + 1, slot]
                 after = chance * pomdp.update(going[None] / going.sum(), *at)
                 value += pomdp.gamma * found.value(y, after)[0] - choices.costs[x, slot] * chance
-            assert q[x, robot] == pytest.approx(value, abs=1e-9)
+            assert q[x, action] == pytest.approx(value, abs=1e-9)
     assert (found.value(np.arange(5), belief) <= found.upper_bound(np.arange(5), belief) + 1e-12).all()
 
 

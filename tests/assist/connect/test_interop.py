@@ -124,10 +124,10 @@ def test_pomdpx_holds_the_problems_own_numbers(tiny_choices: Choices, tmp_path: 
     x_after: dict[tuple[str, ...], list[tuple[int, float]]] = {}
     for (*given, after), chance in file.tables["x_1"].items():
         x_after.setdefault(tuple(given), []).append((file.values["x_1"].index(after), chance))
-    for (r, robot), value in product(enumerate(file.values["robot"]), range(len(observed.state))):
+    for (r, action), value in product(enumerate(file.values["action"]), range(len(observed.state))):
         x, here = int(observed.state[value]), file.values["x_0"][value]
         for b, t in hidden:
-            given = robot, here, f"b{b}", f"t{t}"
+            given = action, here, f"b{b}", f"t{t}"
             steps, reward = exact(pomdp, x, r, b, t)
             # The writer chooses which copy belongs to which choice; that each has one is tested below.
             written = sorted((int(observed.state[y]), p) for y, p in x_after[given] if p > 0)
@@ -148,7 +148,7 @@ def test_pomdpx_holds_the_problems_own_numbers(tiny_choices: Choices, tmp_path: 
             assert sum(p for _, p in x_after[given]) == pytest.approx(1, abs=1e-12)
             assert file.tables["reward"][given] == pytest.approx(reward, rel=1e-11)
         for t in range(thetas):
-            row = [file.tables["theta_1"][robot, here, f"t{t}", f"t{u}"] for u in range(thetas)]
+            row = [file.tables["theta_1"][action, here, f"t{t}", f"t{u}"] for u in range(thetas)]
             np.testing.assert_array_equal(row, theta_after(pomdp, x, r, t))
     assert all(file.tables["beta_1"][f"b{b}", f"b{c}"] == (b == c) for b in range(betas) for c in range(betas))
     prior = [
@@ -246,15 +246,15 @@ class Flat:
         self.gamma, size = float(head["discount"]), int(head["states"])
         self.actions, self.start = head["actions"].split(), np.array(head["start"].split(), dtype=float)
         self.transition = np.zeros((len(self.actions), size, size))
-        for (robot, before, after), chance in entries["T"].items():
-            self.transition[self.places(robot), int(before), int(after)] = chance
+        for (action, before, after), chance in entries["T"].items():
+            self.transition[self.places(action), int(before), int(after)] = chance
         self.reward = np.zeros((len(self.actions), size))
-        for (robot, before, *_), reward in entries["R"].items():
-            self.reward[self.places(robot), int(before)] = reward
+        for (action, before, *_), reward in entries["R"].items():
+            self.reward[self.places(action), int(before)] = reward
         self.observation = np.array([int(o) for _, _, o in entries["O"]])
 
-    def places(self, robot: str) -> list[int]:
-        return list(range(len(self.actions))) if robot == "*" else [self.actions.index(robot)]
+    def places(self, action: str) -> list[int]:
+        return list(range(len(self.actions))) if action == "*" else [self.actions.index(action)]
 
 
 def test_the_flat_format_is_the_factored_one_multiplied_out(tiny_choices: Choices, tmp_path: Path) -> None:
@@ -266,15 +266,15 @@ def test_the_flat_format_is_the_factored_one_multiplied_out(tiny_choices: Choice
     assert flat.actions == action_names(pomdp)
     np.testing.assert_array_equal(flat.observation, [x for x, _, _ in states])
     np.testing.assert_array_equal(flat.start.reshape(-1, 6)[tiny_choices.initial], pomdp.prior.ravel())
-    for (r, robot), (i, (x, b, t)) in product(enumerate(flat.actions), enumerate(states)):
+    for (r, action), (i, (x, b, t)) in product(enumerate(flat.actions), enumerate(states)):
         row = [
-            tables["x_1"].get((robot, f"s{x}", f"b{b}", f"t{t}", f"s{y}"), 0.0)
+            tables["x_1"].get((action, f"s{x}", f"b{b}", f"t{t}", f"s{y}"), 0.0)
             * (b == c)
-            * tables["theta_1"][robot, f"s{x}", f"t{t}", f"t{u}"]
+            * tables["theta_1"][action, f"s{x}", f"t{t}", f"t{u}"]
             for y, c, u in states
         ]
         np.testing.assert_allclose(flat.transition[r, i], row, rtol=1e-14)
-        assert flat.reward[r, i] == tables["reward"][robot, f"s{x}", f"b{b}", f"t{t}"]
+        assert flat.reward[r, i] == tables["reward"][action, f"s{x}", f"b{b}", f"t{t}"]
 
 
 @pytest.mark.parametrize("name", thinned(["execute", "optimal", "lockers"]))
@@ -371,16 +371,16 @@ def test_sarsops_policy_is_read(tiny_choices: Choices) -> None:
     at, prior = np.array([tiny_choices.initial]), pomdp.prior[None]
     assert policy.value(at, prior)[0] == pytest.approx(LOWER, abs=1e-5)
     assert qmdp(pomdp).value(at, prior)[0] >= UPPER
-    for robot in (np.zeros(len(tiny_choices), dtype=np.int64), pomdp.first_optimal[:, 0]):
-        assert (evaluate(pomdp, robot)[tiny_choices.initial] * pomdp.prior).sum() <= UPPER
+    for action in (np.zeros(len(tiny_choices), dtype=np.int64), pomdp.first_optimal[:, 0]):
+        assert (evaluate(pomdp, action)[tiny_choices.initial] * pomdp.prior).sum() <= UPPER
     # Every vector is valid: where it is best, a one-step look-ahead is not worse. With states, beta and theta in
     # another order it would be.
     x = np.flatnonzero(~tiny_choices.goal).repeat(30)
     belief = np.random.default_rng(1).dirichlet(np.full(6, 0.5), len(x)).reshape(-1, 2, 3)
-    q, value, robot = policy.q_values(x, belief), policy.value(x, belief), policy.choose(x, belief)
+    q, value, action = policy.q_values(x, belief), policy.value(x, belief), policy.choose(x, belief)
     assert (q.max(axis=1) >= value - 1e-4).all()
     assert (value <= qmdp(pomdp).value(x, belief) + 1e-4).all()
-    assert (q[np.arange(len(x)), robot] >= value - 1e-4).all()
+    assert (q[np.arange(len(x)), action] >= value - 1e-4).all()
 
 
 @pytest.mark.parametrize(

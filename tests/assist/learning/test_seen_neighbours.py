@@ -136,7 +136,7 @@ class Quiet(ToEverybody):
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         action = super().__call__(team)
-        return action if self.rng.random() < 0.5 else TeamAction(0 * action.person - 1, 0 * action.robot)
+        return action if self.rng.random() < 0.5 else TeamAction(0 * action.person - 1, 0 * action.action)
 
 
 LIVE = Neighbours(rule=SeenFollowed(0.1, 0.12), sees="next")

@@ -48,11 +48,11 @@ def enumerate_posterior(pomdp: AssistPOMDP, history: list[tuple[int, int, int]])
     posterior = np.zeros(grid.shape)
     for b, path in product(range(grid.shape[0]), product(range(grid.shape[1]), repeat=steps + 1)):
         weight = pomdp.prior[b, path[0]]
-        for (x, robot, action), before, after in zip(history, path, path[1:], strict=False):
-            suggestion = int(pomdp.suggested[x, robot])
+        for (x, action, slot), before, after in zip(history, path, path[1:], strict=False):
+            suggestion = int(pomdp.suggested[x, action])
             p = choice(model.q[x], c.applicable[x], grid.beta[b])
             p = lapse(influence(p, suggestion, grid.theta[before]), c.applicable[x], model.lapse)
-            weight *= p[action]
+            weight *= p[slot]
             theta = grid.theta[before]
             if suggestion >= 0:
                 theta = float(trust(theta, value[x], value[c.targets[x, suggestion]], model.eta))
@@ -70,11 +70,11 @@ def test_belief_equals_brute_force_enumeration(tiny_choices: Choices, seed: int)
     x, history = tiny_choices.initial, []
     belief = pomdp.prior[None]
     for _ in range(3):
-        robot = int(rng.integers((pomdp.suggested[x] >= 0).sum() + 1))
-        action = int(rng.choice(np.flatnonzero(tiny_choices.applicable[x])))
-        history.append((x, robot, action))
-        belief = pomdp.update(belief, np.array([x]), np.array([robot]), np.array([action]))
-        x = int(tiny_choices.targets[x, action])
+        action = int(rng.integers((pomdp.suggested[x] >= 0).sum() + 1))
+        slot = int(rng.choice(np.flatnonzero(tiny_choices.applicable[x])))
+        history.append((x, action, slot))
+        belief = pomdp.update(belief, np.array([x]), np.array([action]), np.array([slot]))
+        x = int(tiny_choices.targets[x, slot])
     np.testing.assert_allclose(belief[0], enumerate_posterior(pomdp, history), rtol=0, atol=1e-12)
 
 
@@ -303,12 +303,12 @@ def test_chances_sum_to_one_where_the_person_is_almost_certain(tiny_choices: Cho
     """With theta = 0 the suggestion is never followed, however unlikely the other actions are."""
     grid = Grid(np.array([4.0, 8.0, 12.0]), np.array([0.0, 0.5, 1.0]))
     pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices), grid=grid, suggestions="all")
-    x, robot = np.nonzero(np.arange(pomdp.suggested.shape[1]) < pomdp.robot_actions[:, None])
-    x, robot = x[~tiny_choices.goal[x]], robot[~tiny_choices.goal[x]]
+    x, action = np.nonzero(np.arange(pomdp.suggested.shape[1]) < pomdp.robot_actions[:, None])
+    x, action = x[~tiny_choices.goal[x]], action[~tiny_choices.goal[x]]
     total = np.zeros((len(x), *grid.shape))
     for slot in range(tiny_choices.applicable.shape[1]):
         there = tiny_choices.applicable[x, slot]
-        total[there] += pomdp.likelihood(x[there], robot[there], np.full(there.sum(), slot))
+        total[there] += pomdp.likelihood(x[there], action[there], np.full(there.sum(), slot))
     np.testing.assert_allclose(total, 1, rtol=1e-13)
 
 
@@ -363,20 +363,20 @@ def test_compiled_filters_are_the_equations(
     )  # fmt: skip
     m = ProblemArrays.of(pomdp)
     x = int(rng.choice(np.flatnonzero(~tiny_choices.goal)))
-    robot = int(rng.integers(pomdp.robot_actions[x]))
+    action = int(rng.integers(pomdp.robot_actions[x]))
     belief = rng.dirichlet(np.full(pomdp.prior.size, 0.3))
     belief[(rng.random(len(belief)) < 0.2) & (belief < belief.max())] = 0.0
     belief /= belief.sum()
     parts = new_parts(len(belief), m.uses_answer)
-    acting, suggested = split(parts, belief, x, robot, m)
+    acting, suggested = split(parts, belief, x, action, m)
     if tiny_choices.goal[acting]:
         return
     for slot in range(int(m.counts[acting])):
         one, of_all = np.empty_like(belief), np.empty_like(belief)
-        mass = posterior(belief, one, x, robot, slot, m)
+        mass = posterior(belief, one, x, action, slot, m)
         same = child(of_all, acting, slot, suggested, parts, m)
         assert same == pytest.approx(mass, rel=1e-12)
-        at = tuple(np.array([each]) for each in (x, robot, slot))
+        at = tuple(np.array([each]) for each in (x, action, slot))
         likelihood = pomdp.likelihood(*at)[0].ravel()
         assert mass == pytest.approx(likelihood @ belief, abs=1e-12)
         np.testing.assert_allclose(one, of_all, atol=1e-12)
@@ -384,7 +384,7 @@ def test_compiled_filters_are_the_equations(
             expected = pomdp.update(belief.reshape(1, *pomdp.grid.shape), *at)[0]
             np.testing.assert_allclose(one / mass, expected.ravel(), atol=1e-12)
             now = belief.copy()
-            compiled_update(now, np.empty_like(now), x, robot, slot, m)
+            compiled_update(now, np.empty_like(now), x, action, slot, m)
             np.testing.assert_allclose(now, expected.ravel(), atol=1e-12)
 
 

@@ -135,8 +135,8 @@ def test_the_filter_is_that_of_all_histories(tiny: Table) -> None:
             seen["histories"] += 1
             seen["chance"] += chance
             return
-        robot = robots[step] if robots[step] < pomdp.robot_actions[row] else 0
-        told = int(pomdp.suggested[row, robot])
+        action = robots[step] if robots[step] < pomdp.robot_actions[row] else 0
+        told = int(pomdp.suggested[row, action])
         bias = features(situation(tiny, x, last, previous))[0] @ weights
         alone = choice(q[x], plain.applicable[x], grid.beta, bias)
         for slot in np.flatnonzero(plain.applicable[x]).tolist():
@@ -151,7 +151,7 @@ def test_the_filter_is_that_of_all_histories(tiny: Table) -> None:
                 for at, share in ((int(low), 1 - float(up)), (int(low) + 1, float(up))):
                     if share > 0:
                         after[(*path, at)] = mass * p * share
-            at = np.array([row]), np.array([robot]), np.array([slot])
+            at = np.array([row]), np.array([action]), np.array([slot])
             likelihood = float((pomdp.likelihood(*at)[0] * belief).sum())
             follow(
                 step + 1, int(plain.targets[x, slot]), int(plain.actions[x, slot]), x, after,

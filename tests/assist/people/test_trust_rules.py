@@ -175,9 +175,9 @@ def test_the_filter_is_the_sum_over_all_hidden_paths(rule: TrustRule, seed: int)
     choices, arrays = pomdp.model.choices, ProblemArrays.of(pomdp)
     x, walk = choices.initial, []
     for _ in range(4):
-        robot = int(rng.integers(pomdp.robot_actions[x]))
+        action = int(rng.integers(pomdp.robot_actions[x]))
         slot = int(rng.integers(choices.applicable[x].sum()))
-        walk.append((x, robot, slot))
+        walk.append((x, action, slot))
         x = int(choices.targets[x, slot])
         if choices.goal[x]:
             break
@@ -186,21 +186,21 @@ def test_the_filter_is_the_sum_over_all_hidden_paths(rule: TrustRule, seed: int)
     for b, first in itertools.product(range(betas), range(thetas)):
         for ups in itertools.product((0, 1), repeat=len(walk)):
             weight, t = pomdp.prior[b, first], first
-            for (x, robot, slot), up in zip(walk, ups, strict=True):
-                weight *= pomdp.likelihood(np.array([x]), np.array([robot]), np.array([slot]))[0, b, t]
-                follows = pomdp.followed_low is not None and slot == pomdp.suggested[x, robot]
+            for (x, action, slot), up in zip(walk, ups, strict=True):
+                weight *= pomdp.likelihood(np.array([x]), np.array([action]), np.array([slot]))[0, b, t]
+                follows = pomdp.followed_low is not None and slot == pomdp.suggested[x, action]
                 low = pomdp.followed_low if follows else pomdp.low
                 share = pomdp.followed_weight if follows else pomdp.weight
                 assert low is not None
                 assert share is not None
-                weight *= share[x, robot, 0, t] if up else 1 - share[x, robot, 0, t]
-                t = int(low[x, robot, 0, t]) + up
+                weight *= share[x, action, 0, t] if up else 1 - share[x, action, 0, t]
+                t = int(low[x, action, 0, t]) + up
             total[b, t] += weight
     total /= total.sum()
     belief, plain = pomdp.prior.ravel().copy(), pomdp.prior[None].copy()
-    for x, robot, slot in walk:
-        update(belief, np.empty_like(belief), x, robot, slot, arrays)
-        plain = pomdp.update(plain, *(np.array([each]) for each in (x, robot, slot)))
+    for x, action, slot in walk:
+        update(belief, np.empty_like(belief), x, action, slot, arrays)
+        plain = pomdp.update(plain, *(np.array([each]) for each in (x, action, slot)))
     np.testing.assert_allclose(belief, total.ravel(), atol=1e-12)
     np.testing.assert_allclose(plain[0], total, atol=1e-12)
 

@@ -27,8 +27,8 @@ def random_vectors(pomdp: AssistPOMDP, seed: int = 3) -> VectorPolicy:
     rng = np.random.default_rng(seed)
     counts = np.where(pomdp.model.choices.goal, 0, rng.integers(1, 5, len(pomdp.robot_actions)))
     first = np.concatenate([[0], np.cumsum(counts)])
-    robot = rng.integers(0, np.repeat(pomdp.robot_actions, counts))
-    return VectorPolicy(pomdp, -10 * rng.random((first[-1], *pomdp.grid.shape)), robot, first)
+    action = rng.integers(0, np.repeat(pomdp.robot_actions, counts))
+    return VectorPolicy(pomdp, -10 * rng.random((first[-1], *pomdp.grid.shape)), action, first)
 
 
 def worth(policy: VectorPolicy, x: int, belief: np.ndarray) -> float:
@@ -89,15 +89,15 @@ def test_the_best_vector_gives_value_and_action(tiny_choices: Choices) -> None:
     policy = random_vectors(make(tiny_choices))
     x = np.arange(len(tiny_choices))
     belief = np.random.default_rng(0).dirichlet(np.ones(6), len(x)).reshape(-1, 2, 3)
-    value, robot = policy.value(x, belief), policy.choose(x, belief)
+    value, action = policy.value(x, belief), policy.choose(x, belief)
     for i in x:
         assert value[i] == pytest.approx(worth(policy, i, belief[i]), rel=1e-12)
         if not tiny_choices.goal[i]:
             rows = slice(policy.first[i], policy.first[i + 1])
             products = (policy.vectors[rows] * belief[i]).sum(axis=(1, 2))
-            assert robot[i] == policy.robot[rows][products.argmax()]
+            assert action[i] == policy.action[rows][products.argmax()]
     assert (value[tiny_choices.goal] == 0).all()
-    assert (robot[tiny_choices.goal] == 0).all()
+    assert (action[tiny_choices.goal] == 0).all()
 
 
 def test_vectors_of_never_helping_are_its_exact_values(tiny_choices: Choices) -> None:
@@ -121,7 +121,7 @@ def test_what_does_not_fit_is_refused(tiny_choices: Choices) -> None:
     for wrong in (
         {"vectors": policy.vectors[:-1]},
         {"first": policy.first[:-1]},
-        {"robot": np.full_like(policy.robot, 99)},
+        {"action": np.full_like(policy.action, 99)},
         {"first": np.concatenate([[0, 0], policy.first[2:]])},  # removes the first state's vectors
     ):
         with pytest.raises(ValueError, match="expected"):

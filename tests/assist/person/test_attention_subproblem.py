@@ -33,11 +33,11 @@ GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.5, 1.0]))
 def moves(position: int, actions: int, entry_steps: int) -> list[tuple[int, int, bool]]:
     """Each move of the robot: what a robot that is present would do, its position after it, and whether it comes."""
     if position == HERE:
-        return [(0, AWAY, False), *((robot, HERE, False) for robot in range(actions))]
+        return [(0, AWAY, False), *((action, HERE, False) for action in range(actions))]
     if position == AWAY and entry_steps:
         return [(0, AWAY, False), (0, HERE + entry_steps, True)]
     if position == AWAY:
-        return [(0, AWAY, False), *((robot, HERE, True) for robot in range(1, actions))]
+        return [(0, AWAY, False), *((action, HERE, True) for action in range(1, actions))]
     return [(0, position, False)]
 
 
@@ -68,21 +68,21 @@ def is_as_defined(
         options = moves(position, int(alone.robot_actions[x]), found.entry_steps)
         options = options[:1] if final else options
         assert pomdp.robot_actions[i] == len(options)
-        for r, (robot, then, comes) in enumerate(options):
+        for r, (action, then, comes) in enumerate(options):
             busy = (r > 0 or position > HERE) and not final
             assert attended[i, r] == busy
-            assert pomdp.suggested[i, r] == alone.suggested[x, robot]
-            assert pomdp.afterstate[i, r] == layout.number(step, then, alone.afterstate[x, robot])
-            suggests = robot > 0 and alone.suggested[x, robot] != NOTHING
-            executes = robot > 0 and not suggests
-            cost = alone.robot_costs[x, robot] + found.entry * comes + charged[step] * busy
+            assert pomdp.suggested[i, r] == alone.suggested[x, action]
+            assert pomdp.afterstate[i, r] == layout.number(step, then, alone.afterstate[x, action])
+            suggests = action > 0 and alone.suggested[x, action] != NOTHING
+            executes = action > 0 and not suggests
+            cost = alone.robot_costs[x, action] + found.entry * comes + charged[step] * busy
             cost += (more[0][step] * suggests + more[1][step] * executes) * busy
             assert pomdp.robot_costs[i, r] == pytest.approx(cost)
             for name in ("unsuggested", "low", "weight", "followed_low", "followed_weight"):
                 one, other = getattr(pomdp, name), getattr(alone, name)
                 assert (one is None) == (other is None)
                 if one is not None:
-                    np.testing.assert_array_equal(one[i, r], other[x, robot])
+                    np.testing.assert_array_equal(one[i, r], other[x, action])
         assert not attended[i, len(options) :].any()
         assert (pomdp.suggested[i, len(options) :] == NOTHING).all()
         assert (pomdp.afterstate[i, len(options) :] == i).all()
@@ -224,13 +224,13 @@ def values(pomdp: AssistPOMDP, then: np.ndarray, states: list[int] | None = None
     choices, grid, found = pomdp.model.choices, pomdp.grid, then.copy()
     for x in np.flatnonzero(~pomdp.ends) if states is None else states:
         returns = []
-        for robot in range(pomdp.robot_actions[x]):
-            worth = np.full(grid.shape, -pomdp.robot_costs[x, robot])
-            acting = pomdp.afterstate[x, robot]
+        for action in range(pomdp.robot_actions[x]):
+            worth = np.full(grid.shape, -pomdp.robot_costs[x, action])
+            acting = pomdp.afterstate[x, action]
             for slot in np.flatnonzero(choices.applicable[acting]):
-                at = tuple(np.array([each]) for each in (x, robot, slot))
+                at = tuple(np.array([each]) for each in (x, action, slot))
                 after = then[choices.targets[acting, slot]]
-                low, up = pomdp.low[x, robot, 0], pomdp.weight[x, robot, 0]
+                low, up = pomdp.low[x, action, 0], pomdp.weight[x, action, 0]
                 after = (1 - up) * after[:, low] + up * after[:, low + 1]
                 worth += pomdp.likelihood(*at)[0] * (pomdp.gamma * after - choices.costs[acting, slot])
             returns.append(worth)

@@ -220,12 +220,14 @@ def test_what_is_expected_beyond_is_known() -> None:
     inside = np.setdiff1d(np.arange(len(part)), problem.frontier.states)
     moved = 0
     for x in inside[~part.goal[inside]]:
-        for robot in range(1, int(problem.robot_actions[x])):
-            y = part.targets[x, problem.suggested[x, robot]]
+        for action in range(1, int(problem.robot_actions[x])):
+            y = part.targets[x, problem.suggested[x, action]]
             gain = expected[place[int(part.keys[y])]] - expected[place[int(part.keys[x])]]
             after = np.clip(problem.grid.theta + setting.eta * gain, 0.0, 1.0)
             low, weight = problem.grid.shares(after)
-            np.testing.assert_allclose(problem.low[x, robot, 0] + problem.weight[x, robot, 0], low + weight, atol=1e-9)
+            np.testing.assert_allclose(
+                problem.low[x, action, 0] + problem.weight[x, action, 0], low + weight, atol=1e-9
+            )
             moved += y in problem.frontier.states
     assert moved > 0
 

@@ -71,10 +71,10 @@ class PlainBackup:
         total[np.arange(total.shape[1]) >= pomdp.robot_actions[:, None]] = -np.inf
         return total
 
-    def backup(self, value: np.ndarray, robot: np.ndarray | None = None) -> np.ndarray:
+    def backup(self, value: np.ndarray, action: np.ndarray | None = None) -> np.ndarray:
         """Return values after one more step with the best robot action, or given ones, in states that are not final."""
         q = self.values(value)
-        best = q.max(axis=1) if robot is None else q[np.arange(len(q)), robot]
+        best = q.max(axis=1) if action is None else q[np.arange(len(q)), action]
         return np.where(self.pomdp.ends[:, None, None], value, best)
 
     def of(self, value: np.ndarray, policy: np.ndarray) -> np.ndarray:
@@ -167,9 +167,9 @@ def check_values(alone: AssistPOMDP, gamma: float) -> None:
         found = qmdp(problem, tolerance=1e-9).value_mdp
         best = plain.best(initial_upper_bounds(problem))
         np.testing.assert_allclose(found[known], best[known], rtol=1e-10, atol=1e-8)
-        robot = problem.robot_actions - 1
-        least = evaluate(problem, robot, tolerance=1e-9)
-        policy = np.broadcast_to(robot[:, None, None], least.shape)
+        action = problem.robot_actions - 1
+        least = evaluate(problem, action, tolerance=1e-9)
+        policy = np.broadcast_to(action[:, None, None], least.shape)
         rtol = 1e-12 + ROUNDING / (1 - gamma)  # the margin of a certified bound
         np.testing.assert_allclose(
             least[known],
@@ -192,14 +192,14 @@ def test_both_forms_have_the_same_values(several: bool, rule: TrustRule | None, 
         behaviour=Behaviour(trust=rule),
         suggestions="all",
     )
-    robot, rng, found = pomdp.robot_actions - 1, np.random.default_rng(0), []
+    action, rng, found = pomdp.robot_actions - 1, np.random.default_rng(0), []
     x, belief = rng.integers(0, len(choices), 50), rng.dirichlet(np.ones(pomdp.prior.size), 50)
     for most_values in (0, 10**9):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(sparse_iteration, "MOST_VALUES", most_values)
             policy = qmdp(pomdp, tolerance=1e-9)
             expected = policy.q_values(x, belief.reshape(50, *pomdp.prior.shape))
-            found.append((policy.value_mdp, policy.q_mdp, expected, evaluate(pomdp, robot, tolerance=1e-9)))
+            found.append((policy.value_mdp, policy.q_mdp, expected, evaluate(pomdp, action, tolerance=1e-9)))
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
 
@@ -256,13 +256,13 @@ def test_a_limit_leaves_bounds() -> None:
     """Whenever the iteration ends, values are upper bounds, and those of a policy lower ones."""
     pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(kit("sealed"))), grid=GRID, gamma=0.99)
     exact = qmdp(pomdp, tolerance=1e-10).value_mdp
-    robot = pomdp.robot_actions - 1
-    return_of = evaluate(pomdp, robot, tolerance=1e-10)
+    action = pomdp.robot_actions - 1
+    return_of = evaluate(pomdp, action, tolerance=1e-10)
     for sweeps in range(1, 6):
         value = initial_upper_bounds(pomdp)
         value_iteration(pomdp, value, tolerance=1e-12, max_sweeps=sweeps)
         assert (value >= exact - 1e-8).all()
-        assert (evaluate(pomdp, robot, max_sweeps=sweeps) <= return_of + 1e-8).all()
+        assert (evaluate(pomdp, action, max_sweeps=sweeps) <= return_of + 1e-8).all()
     late = initial_upper_bounds(pomdp)
     assert not value_iteration(pomdp, late, tolerance=1e-9, deadline=time.perf_counter())
     assert (late == initial_upper_bounds(pomdp)).all()

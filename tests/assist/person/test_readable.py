@@ -100,13 +100,13 @@ def test_the_beliefs_after_a_step(
     optimal = read_only(rng.random((*m.chosen.shape[:2], goals)) < 0.5)
     possible = read_only(rng.choice([0.0, 0.5], (len(m.goal_of), 1)))
     rows = np.flatnonzero(rng.random(people) < 0.8)
-    x, robot = rng.integers(0, len(m.counts), len(rows)), rng.integers(0, 3, len(rows))
-    slot = np.where(rng.random(len(rows)) < 0.1, -1, rng.integers(0, m.counts[m.afterstate[x, robot]]))
+    x, action = rng.integers(0, len(m.counts), len(rows)), rng.integers(0, 3, len(rows))
+    slot = np.where(rng.random(len(rows)) < 0.1, -1, rng.integers(0, m.counts[m.afterstate[x, action]]))
     known = beliefs(rng, people, m) if believed else np.empty((0, 1, 1))
     goes_on = rng.random(len(rows)) < 0.7
     found = [(known.copy(), np.ones(people, dtype=bool)) for _ in range(2)]
     for update_by, (belief, erred) in zip((update_readable, update_seen), found, strict=True):
-        update_by(rows, Acts(x, robot, slot, goes_on), belief, erred, optimal, possible, m)
+        update_by(rows, Acts(x, action, slot, goes_on), belief, erred, optimal, possible, m)
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -117,19 +117,19 @@ def test_a_belief_after_a_choice(seed: int, goals: int, answers: bool, lapse: fl
     rng = np.random.default_rng(seed)
     m = problem(rng, goals, answers=answers, lapse=lapse)
     before, x = beliefs(rng, people, m), rng.integers(0, len(m.counts), people)
-    robot = rng.integers(0, 3, people)
-    slot = rng.integers(0, m.counts[m.afterstate[x, robot]])
+    action = rng.integers(0, 3, people)
+    slot = rng.integers(0, m.counts[m.afterstate[x, action]])
     single, work, impossible = before.copy(), np.empty(before.shape[1] * before.shape[2]), 0
     for i in range(people):
         try:
-            update(single[i].reshape(-1), work, int(x[i]), int(robot[i]), int(slot[i]), m)
+            update(single[i].reshape(-1), work, int(x[i]), int(action[i]), int(slot[i]), m)
         except ImpossibleObservationError:
             impossible += 1
     if impossible:
         with pytest.raises(ImpossibleObservationError):
-            updated(before, x, robot, slot, m)
+            updated(before, x, action, slot, m)
         return
-    np.testing.assert_array_equal(updated(before, x, robot, slot, m), single)
+    np.testing.assert_array_equal(updated(before, x, action, slot, m), single)
     after = without_reached(single, x, m)
     for i in range(people):
         exclude_reached(single[i], int(x[i]), m.goal, m.goal_of)

@@ -44,14 +44,14 @@ def whole_tree(pomdp: AssistPOMDP, cut: float) -> tuple[float, float]:
     levels = []
     x, belief, reach = np.array([choices.initial]), pomdp.prior[None], np.ones(1)
     while len(x):
-        robots = np.where(reach > cut, pomdp.robot_actions[x], 0)
-        node = np.repeat(np.arange(len(x)), robots)
-        robot = np.arange(len(node)) - np.repeat(np.cumsum(robots) - robots, robots)
-        place = pomdp.afterstate[x[node], robot]
+        actions = np.where(reach > cut, pomdp.robot_actions[x], 0)
+        node = np.repeat(np.arange(len(x)), actions)
+        action = np.arange(len(node)) - np.repeat(np.cumsum(actions) - actions, actions)
+        place = pomdp.afterstate[x[node], action]
         acts = np.where(choices.goal[place], 0, choices.applicable[place].sum(axis=1))
         row = np.repeat(np.arange(len(node)), acts)
         slot = np.arange(len(row)) - np.repeat(np.cumsum(acts) - acts, acts)
-        at = x[node[row]], robot[row], slot
+        at = x[node[row]], action[row], slot
         chance = (pomdp.likelihood(*at) * belief[node[row]]).sum(axis=(1, 2))
         row, slot, at, chance = row[chance > 0], slot[chance > 0], tuple(a[chance > 0] for a in at), chance[chance > 0]
         after, y = pomdp.update(belief[node[row]], *at), choices.targets[place[row], slot]
@@ -62,18 +62,18 @@ def whole_tree(pomdp: AssistPOMDP, cut: float) -> tuple[float, float]:
         _, some, inverse = np.unique(keys.view(f"V{keys.shape[1] * 8}"), return_index=True, return_inverse=True)
         child[going] = inverse.reshape(-1)
         levels.append(
-            (robots, node, pomdp.robot_costs[x[node], robot], row, chance, choices.costs[place[row], slot], child)
+            (actions, node, pomdp.robot_costs[x[node], action], row, chance, choices.costs[place[row], slot], child)
         )
         reaching = np.zeros(len(some))
         np.maximum.at(reaching, child[going], pomdp.gamma * (reach[node[row]] * chance)[going])
         x, belief, reach = y[going][some], after[going][some], reaching
     low = high = np.zeros(1)
-    for robots, node, charge, row, chance, cost, child in reversed(levels):
+    for actions, node, charge, row, chance, cost, child in reversed(levels):
         found = []
         for bound, end in ((low, worst), (high, 0.0)):
             ahead = np.append(bound, 0.0)  # a finished child is number -1
             q = -charge + np.bincount(row, chance * (pomdp.gamma * ahead[child] - cost), len(node))
-            value = np.where(robots > 0, -np.inf, end)
+            value = np.where(actions > 0, -np.inf, end)
             np.maximum.at(value, node, q)
             found.append(value)
         low, high = found
@@ -141,8 +141,8 @@ def test_no_policy_exceeds_the_upper_bound(name: str, seed: int) -> None:
     x, belief = some_beliefs(solution, seed)
     helpful = solution.choose(np.arange(len(pomdp.robot_actions)), np.broadcast_to(belief[0], solution.corner.shape))
     upper = solution.upper_bound(x, belief)
-    for robot in (np.random.default_rng(seed).integers(0, pomdp.robot_actions), helpful):
-        value = evaluate(pomdp, robot.astype(np.int64))
+    for action in (np.random.default_rng(seed).integers(0, pomdp.robot_actions), helpful):
+        value = evaluate(pomdp, action.astype(np.int64))
         assert (np.einsum("nbt,nbt->n", value[x], belief) <= upper + 1e-9 * np.abs(upper)).all()
 
 
@@ -164,11 +164,11 @@ def test_never_and_always_are_what_linear_equations_say(
     solution, best = solve(pomdp, gap=0.9), qmdp(pomdp)
     values = np.einsum("nrbt,bt->nr", np.maximum(best.q_mdp, -1e9), pomdp.prior)
     q = np.where(pomdp.suggests_optimal[:, :, 0], values, -np.inf)
-    for found, robot in (
+    for found, action in (
         (solution.value_never, np.zeros(len(q), dtype=int)),
         (solution.value_always, q.argmax(axis=1)),
     ):
-        policy = np.broadcast_to(robot[:, None, None], best.value_mdp.shape)
+        policy = np.broadcast_to(action[:, None, None], best.value_mdp.shape)
         value = PlainBackup(pomdp).of(np.zeros(policy.shape), policy)
         expected = (value[tiny_choices.initial] * pomdp.prior).sum()
         assert expected - 1e-3 <= found <= expected + 1e-9 * abs(expected)

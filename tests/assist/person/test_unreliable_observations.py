@@ -161,10 +161,10 @@ def test_the_robot_acts_on_the_expected_advantage_over_states() -> None:
     found = expected_answers(worth_of_actions, policy, np.array([here]), [joint])[0]
     alone = [policy.q_values(np.array([x]), pomdp.prior[None])[0] for x in (here, there)]
     said = [said_in(pomdp, np.array([x]))[0].tolist() for x in (here, there)]
-    for robot in range(int(pomdp.robot_actions[here])):
-        other = said[1].index(said[0][robot]) if robot and said[0][robot] in said[1] else 0
-        elsewhere = alone[1][other] - (0 if other or not robot else pomdp.robot_costs[here, robot])
-        assert found[robot] == pytest.approx(0.7 * alone[0][robot] + 0.3 * elsewhere)
+    for action in range(int(pomdp.robot_actions[here])):
+        other = said[1].index(said[0][action]) if action and said[0][action] in said[1] else 0
+        elsewhere = alone[1][other] - (0 if other or not action else pomdp.robot_costs[here, action])
+        assert found[action] == pytest.approx(0.7 * alone[0][action] + 0.3 * elsewhere)
     assert (found[int(pomdp.robot_actions[here]) :] == -np.inf).all()
 
 

@@ -42,11 +42,11 @@ class Talkative:
         self.kept.append(team)
         n, k = team.active.shape
         person = np.array([self.rng.choice(np.flatnonzero(row)) for row in team.active])
-        robot = np.zeros((n, k), dtype=np.int64)
+        said = np.zeros((n, k), dtype=np.int64)
         for e, p in enumerate(person.tolist()):
             pomdp = team.policies[team.model[e, p]].pomdp
-            robot[e, p] = self.rng.integers(pomdp.robot_actions[team.x[e, p]])
-        action = team.act(person[:, None], robot)
+            said[e, p] = self.rng.integers(pomdp.robot_actions[team.x[e, p]])
+        action = team.act(person[:, None], said)
         self.did.append(action)
         return action
 
@@ -82,13 +82,13 @@ def joint_filter(
             choices, theta, others = pomdp.model.choices, pomdp.grid.theta, range(2 * k, 2 * k + 2)
             names = [choices.name(x[k], slot) for slot in range(int(choices.applicable[x[k]].sum()))]
             slot, told = names.index(row["action"]), row["suggestion"]
-            robot = 0
+            said = 0
             if told is not None:
-                robot = int(np.flatnonzero(pomdp.suggested[x[k]] == names.index(told))[0])
-            likelihood = pomdp.likelihood(np.array([x[k]]), np.array([robot]), np.array([slot]))[0]
+                said = int(np.flatnonzero(pomdp.suggested[x[k]] == names.index(told))[0])
+            likelihood = pomdp.likelihood(np.array([x[k]]), np.array([said]), np.array([slot]))[0]
             joint = joint * (likelihood[:, :, None, None] if k == 0 else likelihood[None, None])
             y = int(choices.targets[x[k], slot])
-            low, weight = pomdp.low[x[k], robot], pomdp.weight[x[k], robot]
+            low, weight = pomdp.low[x[k], said], pomdp.weight[x[k], said]
             moved = np.zeros_like(joint)
             for h in range(len(pomdp.hidden)):
                 for t in range(len(theta)):

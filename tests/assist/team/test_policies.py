@@ -71,8 +71,8 @@ def test_attention_goes_to_nobody_to_say_nothing(pool: Pool) -> None:
     switching = AttentionAgainstNever(
         ByPolicy(dear.policies, lambda policy: np.full_like(policy.value_mdp, -1e6).__getitem__)
     )
-    robot, score = switching.scores(team)
-    assert robot.tolist() == [[[0, 0]]]
+    said, score = switching.scores(team)
+    assert said.tolist() == [[[0, 0]]]
     assert np.isneginf(score).all()
     assert switching(team).person.tolist() == [[NOBODY]]
 
@@ -131,8 +131,8 @@ def test_a_users_policy_is_a_plain_callable_and_its_faults_are_named(pool: Pool)
     episodes = simulate(pool, first_who_works, humans=3, episodes=5, seed=0)
     assert all(e.moves >= 1 and e.interventions == 0 for e in episodes)
 
-    def everybody(person: int, robot: int):  # type: ignore[no-untyped-def]
-        return lambda team: TeamAction(np.full(team.location.shape, person), np.full(team.location.shape, robot))
+    def everybody(person: int, said: int):  # type: ignore[no-untyped-def]
+        return lambda team: TeamAction(np.full(team.location.shape, person), np.full(team.location.shape, said))
 
     for policy, complaint in (
         (everybody(3, 0), "goes to person 3 in a team of 3"),
@@ -234,7 +234,7 @@ def random_state(pool: Pool, seed: int, robots: int, *, equally_far: bool, trave
     return TeamState(0, active, location, model, known, pool.policies, travel, fleet=alike)
 
 
-def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, robot: np.ndarray) -> None:
+def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, said: np.ndarray) -> None:
     """Check that robots serve people with the largest total worth, shape (N, M, K), and make these robot actions."""
     person, made, number = action.person, action.action, np.arange(team.robots)
     steps = team.travel.steps_between(number, team.location, person)
@@ -250,7 +250,7 @@ def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, robot: np.nd
         assert sum(own[m, k] for m, k in pairs) == pytest.approx(best, abs=1e-9)
         for m, k in enumerate(person[n]):
             there = k != NOBODY and steps[n, m] == 0
-            assert made[n, m] == (robot[n, k] if there else 0)
+            assert made[n, m] == (said[n, k] if there else 0)
 
 
 examples = costly(12, 50)
@@ -263,15 +263,15 @@ def test_reactive_assistance_as_defined(people: Pool, robots: int, **options: An
     team = random_state(people, robots=robots, **options)
     choices, far = people.choices(0), team.travel.distance
     action = Reactive()(team)
-    robot = np.zeros(team.x.shape, dtype=np.int64)
+    said = np.zeros(team.x.shape, dtype=np.int64)
     for n, k in np.argwhere(team.erred & team.active):
         offered = people.policies[people.model[k]].pomdp.suggested[team.x[n, k]]
         optimal = [r for r, slot in enumerate(offered) if slot >= 0 and choices.optimal[team.x[n, k], slot]]
-        robot[n, k] = optimal[0] if optimal else 0
+        said[n, k] = optimal[0] if optimal else 0
     for n in range(TEAMS):
-        assert np.sum(action.person[n] != NOBODY) == min(robots, np.count_nonzero(robot[n]))
-    near = np.where(robot[:, None] > 0, 1 + far.max() - far[team.location][:, :, :-1], -np.inf)
-    is_best(team, action, near, robot)
+        assert np.sum(action.person[n] != NOBODY) == min(robots, np.count_nonzero(said[n]))
+    near = np.where(said[:, None] > 0, 1 + far.max() - far[team.location][:, :, :-1], -np.inf)
+    is_best(team, action, near, said)
 
 
 @examples
@@ -290,8 +290,8 @@ def test_attention_switching_as_defined(people: Pool, robots: int, never: bool, 
         reference = (alone[people.model[k]][x] * belief).sum() if never else q[0]
         if best[n, k]:
             score[n, :, k] = q.max() - reference - team.travel.c_move * team.travel.distance[team.location[n], k]
-    robot, found = switching.scores(team)
-    np.testing.assert_array_equal(robot.swapaxes(1, 2)[team.active], best[team.active][:, None].repeat(robots, axis=1))
+    said, found = switching.scores(team)
+    np.testing.assert_array_equal(said.swapaxes(1, 2)[team.active], best[team.active][:, None].repeat(robots, axis=1))
     np.testing.assert_allclose(found, score, atol=1e-9)
     is_best(team, switching(team), score, best)
 
@@ -326,13 +326,11 @@ def index_of(pomdp: AssistPOMDP, x: int, b: int, t: int) -> float:
     n, R = pomdp.suggested.shape
     choices = pomdp.model.choices
     states, P, cost = np.arange(n), np.zeros((R, n, n)), np.zeros((R, n))
-    for robot in range(R):
+    for said in range(R):
         for slot in range(choices.targets.shape[1]):
-            chance = (
-                pomdp.likelihood(states, np.full(n, robot), np.full(n, slot))[:, b, t] * choices.applicable[:, slot]
-            )
-            np.add.at(P[robot], (states, choices.targets[:, slot]), chance)
-            cost[robot] += chance * choices.costs[:, slot]
+            chance = pomdp.likelihood(states, np.full(n, said), np.full(n, slot))[:, b, t] * choices.applicable[:, slot]
+            np.add.at(P[said], (states, choices.targets[:, slot]), chance)
+            cost[said] += chance * choices.costs[:, slot]
     padding = (np.arange(R)[:, None] >= pomdp.robot_actions) & (np.arange(R)[:, None] > 0)
     working = ~pomdp.ends
 

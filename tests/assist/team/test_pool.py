@@ -84,9 +84,9 @@ class ByCostToGo(Policy):
         self.pomdp, self.least = pomdp, least  # type: ignore[misc]
 
     def q_values(self, x: np.ndarray, belief: np.ndarray) -> np.ndarray:  # noqa: ARG002
-        robot = np.arange(self.pomdp.suggested.shape[1])
-        worth = np.where(self.pomdp.model.choices.h[x] >= self.least, 3.0, -1.0)[:, None] * (robot > 0)
-        return np.where(robot < self.pomdp.robot_actions[x][:, None], worth, -np.inf)
+        action = np.arange(self.pomdp.suggested.shape[1])
+        worth = np.where(self.pomdp.model.choices.h[x] >= self.least, 3.0, -1.0)[:, None] * (action > 0)
+        return np.where(action < self.pomdp.robot_actions[x][:, None], worth, -np.inf)
 
 
 @pytest.mark.parametrize("policy", ["attention", "priority"])

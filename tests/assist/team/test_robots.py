@@ -108,9 +108,9 @@ def test_with_a_robot_each_everybody_is_always_attended_to(pool: Pool) -> None:
 
     def everybody(team: TeamState) -> TeamAction:
         q = team.q_values()
-        robot = np.where(team.active, q.argmax(axis=2), 0)
-        person = np.where(robot > 0, np.arange(3), NOBODY)
-        return TeamAction(person, robot)
+        said = np.where(team.active, q.argmax(axis=2), 0)
+        person = np.where(said > 0, np.arange(3), NOBODY)
+        return TeamAction(person, said)
 
     def checked(team: TeamState) -> TeamAction:
         action = policy(team)
@@ -410,10 +410,10 @@ def test_each_robot_pays_its_own_costs() -> None:
     suggests, executes = pomdp.first_optimal[start, 0], pomdp.robot_actions[start] - 1
     assert pomdp.executes(start, executes) is not None
 
-    def paid(person: list[int], robot: list[int]) -> float:
+    def paid(person: list[int], said: list[int]) -> float:
         def act(team: TeamState) -> TeamAction:
             each = np.array([person]).repeat(len(team.x), axis=0)
-            return TeamAction(each, np.array([robot]).repeat(len(team.x), axis=0))
+            return TeamAction(each, np.array([said]).repeat(len(team.x), axis=0))
 
         found = simulate(pool, act, humans=2, episodes=1, seed=1)
         return float(-found.discounted_return[0] - found.costs[0].sum())

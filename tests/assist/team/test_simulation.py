@@ -244,11 +244,11 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
     value = perceived_value(tiny_choices, model.q)
     open_states = np.flatnonzero(~tiny_choices.goal)
     for x in rng.choice(open_states, 6):
-        for robot in range(pomdp.robot_actions[x]):
+        for said in range(pomdp.robot_actions[x]):
             beta, theta = rng.uniform(0.1, 3), rng.uniform(0, 1)
             belief = rng.dirichlet(np.ones(betas * thetas)).reshape(betas, thetas)
             people = PeopleArrays(
-                np.full(n, x), np.full(n, robot), np.zeros(n, dtype=np.int64), np.full(n, theta),
+                np.full(n, x), np.full(n, said), np.zeros(n, dtype=np.int64), np.full(n, theta),
                 np.zeros(n, dtype=np.int64), rng.random((n, 2)), np.zeros(n, dtype=np.int64), np.zeros(n),
             )  # fmt: skip
             known = KnownStates(people.x, np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=bool))
@@ -260,7 +260,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             act(np.arange(n), people, minds, modelled.arrays)
             acts = Acts(np.full(n, x), people.heard, people.slot, np.zeros(n, dtype=bool))
             known.observe(acts, people.heard, [(modelled, np.arange(n))], lambda _: np.empty(0))
-            place, told = pomdp.afterstate[x, robot], pomdp.suggested[x, robot]
+            place, told = pomdp.afterstate[x, said], pomdp.suggested[x, said]
             if tiny_choices.goal[place]:
                 assert (people.x == place).all()
                 assert (people.slot == -1).all()
@@ -278,7 +278,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             np.testing.assert_allclose(people.theta, after, rtol=1e-12)
             some = np.arange(50)
             expected = pomdp.update(
-                np.repeat(belief[None], 50, axis=0), np.full(50, x), np.full(50, robot), people.slot[some]
+                np.repeat(belief[None], 50, axis=0), np.full(50, x), np.full(50, said), people.slot[some]
             )
             np.testing.assert_allclose(known.belief[some], expected, rtol=1e-9, atol=1e-15)
 
@@ -365,7 +365,7 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
     assert episode.discounted_return == pytest.approx(sum(0.99 ** r["step"] * r["reward"] for r in trace), abs=1e-9)
     moves, busy_until = 0, 0
     paid = {(row["step"], row["place"]): -row["reward"] - row["cost"] for row in trace}
-    for step, location, person, robot in decided:
+    for step, location, person, said in decided:
         assert step >= busy_until  # committed while under way
         if person == NOBODY:
             continue
@@ -373,8 +373,8 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
         moved = location != person
         moves += moved
         busy_until = step + int(travel.steps_between(np.array(0), np.array(location), np.array(person)))
-        assert robot == 0 or busy_until == step
-        expected = travel.c_move[0] * travel.distance[location, person] + 0.5 * (robot > 0)
+        assert said == 0 or busy_until == step
+        expected = travel.c_move[0] * travel.distance[location, person] + 0.5 * (said > 0)
         assert paid.pop((step, person)) == pytest.approx(expected, abs=1e-9)
     assert episode.moves == moves
     assert all(rest == pytest.approx(0, abs=1e-9) for rest in paid.values())
