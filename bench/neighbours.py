@@ -264,7 +264,7 @@ def _recovered(task: Any, rate: float, people: int, tasks: int, populations: int
         told.append(np.mean([(o.suggested >= 0).sum() for o in log]))
         saw.append(np.mean([len(o.seen.gain) for o in log]))
         some = {name: families[name] for name in ("none", "outcome", "followed")}
-        chosen.append(compare_rules(log, rules=some, reference="none", folds=2, carry=False).best.model == "outcome")
+        chosen.append(compare_rules(log, rules=some, folds=2, carry=False).best.model == "outcome")
     return {
         "suggestions": float(np.mean(told)), "seen": float(np.mean(saw)), "mean": float(np.mean(estimates)),
         "sd": float(np.std(estimates, ddof=1)) if populations > 1 else 0.0, "inside": 100 * float(np.mean(inside)),

@@ -12,7 +12,7 @@ from .options.common import apart, baseline_option, figures_option, json_option,
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, folds_option, method_of, reading_options, task_log_options, with_task
 from .options.settings import EstimateSetting
-from .options.trust import AdviceOptions, advice_of, advice_options, influence_option, rules_option
+from .options.trust import AdviceOptions, ComparedRules, advice_of, advice_options, compared_rules
 from .output.comparisons import ComparisonFiles, models_compared, rules_compared, show_comparison
 from .terminal.console import ExitCode, one_line_errors
 
@@ -48,7 +48,7 @@ def compare() -> None:
 @figures_option
 @reading_options
 @setting_options(EstimateSetting)
-def models(
+def compare_models(
     log: TaskLog, folds: int, files: ComparisonFiles, figures: Path | None, reading: ReadingOptions,
     setting: EstimateSetting, given: Given[EstimateSetting],
 ) -> None:  # fmt: skip
@@ -73,15 +73,14 @@ def models(
 @command("compare rules kitting/paper log.csv", "rules")
 @task_log_options(required=False)
 @folds_option
-@influence_option
-@rules_option
+@compared_rules
 @advice_options
 @comparison_files
 @reading_options
 @setting_options(EstimateSetting)
-def rules(
-    log: TaskLog, folds: int, trust: str | None, chosen: tuple[str, ...], judged: AdviceOptions,
-    files: ComparisonFiles, reading: ReadingOptions, setting: EstimateSetting, given: Given[EstimateSetting],
+def compare_rules(
+    log: TaskLog, folds: int, rules: ComparedRules, judged: AdviceOptions, files: ComparisonFiles,
+    reading: ReadingOptions, setting: EstimateSetting, given: Given[EstimateSetting],
 ) -> None:  # fmt: skip
     """Compare trust rules on a LOG of people's actions, or on judgements with --advice.
 
@@ -96,6 +95,7 @@ def rules(
             separate_files({"--out": files.out}, {"--advice": judged.advice})
             show_comparison(rules_compared(judgements, str(judged.advice), method, folds, carry=True), files)
             return
+        trust, chosen = rules
         if (trust is None) != (setting.neighbours is None):
             raise click.UsageError("--influence and neighbours: expected both, such as --set neighbours.sees=next")
         apart({"--rule": chosen, "--influence": trust})
@@ -109,5 +109,5 @@ def rules(
         sys.exit(ExitCode.FAILED)
 
 
-compare.add_command(models)
-compare.add_command(rules)
+compare.add_command(compare_models)
+compare.add_command(compare_rules)

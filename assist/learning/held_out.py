@@ -105,8 +105,8 @@ def compare_models(
 @shows_progress
 def compare_rules(
     people: Evidence | Sequence[Observations] | AdviceLog, method: Method | None = None, *,
-    rules: Rules | None = None, beside: str | TrustRule | None = None, reference: str | None = None, folds: int = FOLDS,
-    carry: bool = True, time_limit: float | None = None, progress: Wanted = None,
+    rules: Rules | None = None, beside: str | TrustRule | None = None, folds: int = FOLDS, carry: bool = True,
+    time_limit: float | None = None, progress: Wanted = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of trust rules by the log probability of the choices of held-out people.
 
@@ -119,13 +119,12 @@ def compare_rules(
     method : Method, optional
         As for `fit_influence`; of advice, only the level of the intervals is used.
     rules : mapping of str to rule, or sequence of rules, optional
-        The rules, each as for `fit_influence`, by their names or as a list; the reference is among them. All shipped
-        ones unless given. Of advice, a mapping as `COMPARED`, which it is unless given; None stands for base rates.
+        The rules, each as for `fit_influence`, by their names or as a list. The others are compared with "constant", or
+        without it with the first. All shipped ones unless given. Of advice, a mapping as `COMPARED`, which it is unless
+        given; None stands for base rates.
     beside : str or TrustRule, optional
         A rule of people's own: then rules by which theta also moves by what they see of neighbours are compared,
         beside this one.
-    reference : str, optional
-        The rule with which the others are compared: "constant" unless given or, beside a rule, "none".
     folds : int
         Groups of people that are left out in turn.
     carry : bool
@@ -140,15 +139,14 @@ def compare_rules(
     InputFileError
         Nothing was ever suggested, or there are fewer than two people.
     ValueError
-        There are fewer than two folds, or there is no such rule or reference, or the likelihood is not finite.
+        There are fewer than two folds, or there is no such rule, or the likelihood is not finite.
     """
     assert callable(progress)
     method = method or Method()
     if beside is not None:
         if rules is not None:
             raise ValueError(f"beside '{beside}': expected no other rules")
-        rules, reference = seen_families(family_of(beside, method)), reference or "none"
-    reference = reference or REFERENCE
+        rules = seen_families(family_of(beside, method))
     if isinstance(people, AdviceLog):
         names, choices = tuple(people.people), people.counts
         folds_of(len(names), folds)
@@ -162,8 +160,9 @@ def compare_rules(
         fold = folds_of(len(log.people), folds)
         names, choices = log.people, log.counts
         fits = {name: _of_family(log, family, carry) for name, family in _families(rules, method).items()}
-    if reference not in fits:
-        raise ValueError(f"rules {', '.join(fits)}: expected '{reference}' among them, or another one as `reference`")
+    if not fits:
+        raise ValueError("rules: expected at least one")
+    reference = REFERENCE if REFERENCE in fits else next(iter(fits))
     return compared(
         fits, names, choices, reference, fold=fold, level=method.level, time_limit=time_limit,
         progress=adding(progress, "comparing trust rules", len(fits)),

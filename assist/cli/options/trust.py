@@ -40,10 +40,23 @@ influence_option = click.option(
 )  # fmt: skip
 
 
-rules_option = click.option(
-    "--rule", "chosen", type=RULE_NAME, metavar="RULE", multiple=True,
-    help="Compare this trust rule with one of a constant theta, in place of all shipped ones; a name or FILE.py:RULE. "
-    "May be repeated.",
+class ComparedRules(NamedTuple):
+    """Trust rules that are compared; or one of people's own, beside which those of what they see of others are."""
+
+    trust: str | None
+    chosen: tuple[str, ...]
+
+
+compared_rules = together(
+    "rules", ComparedRules,
+    (
+        influence_option,
+        click.option(
+            "--rule", "chosen", type=RULE_NAME, metavar="RULE", multiple=True,
+            help="Compare this trust rule with one of a constant theta, in place of all shipped ones; a name or "
+            "FILE.py:RULE. May be repeated.",
+        ),
+    ),
 )  # fmt: skip
 
 

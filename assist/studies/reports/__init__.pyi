@@ -1,6 +1,7 @@
 from .compared_policies import ComparedPolicy as ComparedPolicy
 from .compared_policies import PolicyComparison as PolicyComparison
 from .compared_policies import comparison_of as comparison_of
+from .policy_comparison import Comparing as Comparing
 from .policy_comparison import compare as compare
 from .study_report import Report as Report
 from .study_report import write_report as write_report

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -41,6 +41,33 @@ SETTINGS = tuple(each.name for each in fields(Setting))
 CONDITIONS = ("trace", *sorted(Conditions.__optional_keys__ - {"name", "time_limit"}))
 """Further arguments of `simulate`; the names of policies and the time limit are those of the comparison."""
 
+
+class Comparing(TypedDict, total=False):
+    """How policies are compared. Each entry has a default.
+
+    Attributes
+    ----------
+    baseline : str or None
+        The policy that differences refer to; by default "none" if it is compared, else the first.
+    varied : str
+        What the keys of several pools are, such as "population": the name of a column and of an axis; "pool" by
+        default.
+    level : float
+        Confidence level of intervals; 0.95 by default.
+    certified : bool or float
+        Also compute an upper bound on the value of all policies, and each policy's gap to it, which takes longer. A
+        number is the relative gap to which each person's problem is solved for the bound, as in `upper_bound`.
+    time_limit : float or None
+        Seconds after which no further portion of episodes begins. All policies have the same episodes.
+    """
+
+    baseline: str | None
+    varied: str
+    level: float
+    certified: bool | float
+    time_limit: float | None
+
+
 FIRST_PORTION = 64
 """Episodes of each policy in the first portion; later ones are twice as large as the one before."""
 
@@ -52,9 +79,8 @@ GAP = 1e-3
 def compare(
     pool: Pool | Mapping[Any, Pool],
     policies: Iterable[str | TeamPolicy] | Mapping[str, str | TeamPolicy] | str | TeamPolicy, *,
-    humans: int | Iterable[int] | Iterable[str] = 3, episodes: int = 500, seed: Seed = 0, baseline: str | None = None,
-    varied: str = "pool", level: float = 0.95, certified: bool | float = False, time_limit: float | None = None,
-    progress: Wanted = None, **options: Any,
+    humans: int | Iterable[int] | Iterable[str] = 3, episodes: int = 500, seed: Seed = 0, progress: Wanted = None,
+    **options: Any,
 ) -> PolicyComparison:  # fmt: skip
     """Simulate policies with the same people and random numbers, and compare their means.
 
@@ -69,24 +95,14 @@ def compare(
     episodes : int
         Number of episodes of each policy under each condition.
     seed : int or Generator
-    baseline : str, optional
-        The policy that differences refer to; by default "none" if it is compared, else the first.
-    varied : str
-        What the keys of several pools are, such as "population": the name of a column and of an axis.
-    level : float
-        Confidence level of intervals.
-    certified : bool or float
-        Also compute an upper bound on the value of all policies, and each policy's gap to it, which takes longer. A
-        number is the relative gap to which each person's problem is solved for the bound, as in `upper_bound`.
-    time_limit : float, optional
-        Seconds after which no further portion of episodes begins. All policies have the same episodes.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes.
     **options
-        Fields of `Setting` in place of the pool's: a value, or for one of them a list of values, each of which is a
-        condition with the same people, such as `c_suggest=[0.1, 1.0]`. And further arguments of `simulate`, such as
-        `jobs`, `goals` or `world`. A bound is for people who are present from the beginning and whose goals are
-        inferred; it is that of the robot's model, in which policies are simulated again for their gaps.
+        The `baseline`, whether gaps are `certified`, and others: see `Comparing`. Fields of `Setting` in place of the
+        pool's: a value, or for one of them a list of values, each of which is a condition with the same people, such as
+        `c_suggest=[0.1, 1.0]`. And further arguments of `simulate`, such as `jobs`, `goals` or `world`. A bound is for
+        people who are present from the beginning and whose goals are inferred; it is that of the robot's model, in
+        which policies are simulated again for their gaps.
 
     Returns
     -------
@@ -100,24 +116,26 @@ def compare(
         A parameter is out of its range, a policy is unknown, or two have one name.
     """
     assert callable(progress)
-    known = [*SETTINGS, *CONDITIONS]
+    known = [*Comparing.__annotations__, *SETTINGS, *CONDITIONS]
     unknown = next((name for name in options if name not in known), None)
     if unknown is not None:
         raise TypeError(f"compare has no argument {unknown!r}; {expected(unknown, known)}")
     settings = {name: options.pop(name) for name in list(options) if name in SETTINGS}
-    pools, varied = _pools(pool, varied, settings)
+    own = Comparing(**{name: options.pop(name) for name in list(options) if name in Comparing.__annotations__})  # type: ignore[typeddict-item]
+    pools, varied = _pools(pool, own.get("varied", "pool"), settings)
     named = by_name(policies)
     if not named:
         raise ValueError("policies: expected at least one")
     teams = _teams(humans)
-    base = baseline_of(named, baseline)
+    base, level = baseline_of(named, own.get("baseline")), own.get("level", 0.95)
     if not 0 < level < 1:
         raise ValueError(f"level {level}: expected a number between 0 and 1")
     options["seed"] = entropy(seed)
+    certified, limit = own.get("certified", False), own.get("time_limit")
     if certified is not False:
         _require_bound(options)
     gap = None if certified is False else positive("certified", GAP if certified is True else certified)
-    count, limit = whole("episodes", episodes, 1), None if time_limit is None else positive("time_limit", time_limit)
+    count, limit = whole("episodes", episodes, 1), None if limit is None else positive("time_limit", limit)
     conditions = len(pools) * len(teams)
     share = None if limit is None else limit / conditions / (1 if gap is None else 2)
     comparing = _Comparing(named, base, level, count, gap, share, options)
