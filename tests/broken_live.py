@@ -39,7 +39,7 @@ def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) ->
         for number in range(STEPS):
             name = people[number % min(4, len(people))]
             seen = session.person(name)
-            task, state = session.place(name)
+            task, state = session.task_and_state(name)
             if seen["finished"] or not seen["applicable"]:
                 continue
             pictures.of(task, state, seen, 400)

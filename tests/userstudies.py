@@ -132,14 +132,14 @@ class Part:
 
     def errs(self) -> None:
         """Take the action whose successor has the largest h*."""
-        table, state = self.session.place(self.name)
+        table, state = self.session.task_and_state(self.name)
         rows = table.choices([state])
         costs = table.lookup(rows.targets)
         self.report("acted", action=table.task.actions[int(rows.actions[int(costs.argmax())])])
 
     def finish(self) -> None:
         while not self.session.person(self.name)["study"]["over"]:
-            table, state = self.session.place(self.name)
+            table, state = self.session.task_and_state(self.name)
             rows = table.choices([state])
             best = int(rows.actions[int(table.lookup(rows.targets).argmin())])
             self.report("acted", action=table.task.actions[best])

@@ -182,7 +182,7 @@ def upper_bound(
     ----------
     pool : Pool
     team : sequence of int or str, optional
-        Person at each place, by place in the pool or by name; by default the whole pool.
+        Person at each place, by number in the pool or by name; by default the whole pool.
     travel : Travel, optional
         Travel between the places; by default that of the setting.
     seed : int or Generator

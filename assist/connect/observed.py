@@ -166,15 +166,15 @@ class Observed:
         if self.stays(x):
             return [(x, np.ones((len(pomdp.grid.beta), 1)))]
         r = r if r < pomdp.robot_actions[x] else 0
-        place = int(pomdp.afterstate[x, r])
-        if choices.goal[place]:
-            return [(place, np.ones((len(pomdp.grid.beta), 1)))]
-        slots = np.arange(int(choices.applicable[place].sum()))
+        acting = int(pomdp.afterstate[x, r])
+        if choices.goal[acting]:
+            return [(acting, np.ones((len(pomdp.grid.beta), 1)))]
+        slots = np.arange(int(choices.applicable[acting].sum()))
         chance = pomdp.likelihood(np.full(len(slots), x), np.full(len(slots), r), slots)
         if chance.shape[2] > 1 and pomdp.suggested[x, r] == NOTHING:
             chance = chance[:, :, :1]
         after: dict[int, Floats] = {}
-        for y, p in zip(self.targets[place, slots].tolist(), chance, strict=True):
+        for y, p in zip(self.targets[acting, slots].tolist(), chance, strict=True):
             after[y] = after[y] + p if y in after else p
         return [(y, p) for y, p in after.items() if (p > 0).any()]
 
@@ -187,12 +187,12 @@ class Observed:
             return self._leaf[x]
         forbidden = r >= pomdp.robot_actions[x]
         r = 0 if forbidden else r
-        place = int(pomdp.afterstate[x, r])
+        acting = int(pomdp.afterstate[x, r])
         charge = np.full((1, 1), float(pomdp.robot_costs[x, r]) + 1.0 * forbidden)
-        if choices.goal[place]:
+        if choices.goal[acting]:
             return -charge
-        slots = np.arange(int(choices.applicable[place].sum()))
-        costs = choices.costs[place, slots]
+        slots = np.arange(int(choices.applicable[acting].sum()))
+        costs = choices.costs[acting, slots]
         if (costs == costs[0]).all():
             return -charge - costs[0]
         chance = pomdp.likelihood(np.full(len(slots), x), np.full(len(slots), r), slots)

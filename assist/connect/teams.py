@@ -139,7 +139,7 @@ class Teams:
         self.belief = np.zeros((*shape, *self._prior.shape[1:])) if filters else None
         them = PeopleAtWork(
             number=self.people, draws=AllTeams(CommonRandomNumbers(0, np.arange(teams), places), teams),
-            on_grid=world == "model", place=self.x, row=row, goal=goal, theta=self.theta, outcomes=outcomes,
+            on_grid=world == "model", situation=self.x, row=row, goal=goal, theta=self.theta, outcomes=outcomes,
             finished=self.finished, presence=Schedule.of(places),
         )  # fmt: skip
         known, robots = known_at_first(row, self.belief, pool.setting), RobotsAtWork(self.fleet, self.travel, teams)
@@ -175,7 +175,7 @@ class Teams:
         began, them = self._beginnings.of(people, draw), self.engine.people
         self.tasks.model[rows], self.tasks.who[rows] = began.model, began.who
         self.people[rows], them.goal[rows], them.theta[rows], them.outcomes[rows] = people, began.goal, began.theta, 0
-        self.x[rows], self.finished[rows], self.erred[rows] = began.place, began.finished, False
+        self.x[rows], self.finished[rows], self.erred[rows] = began.situation, began.finished, False
         if self.belief is not None:
             self.belief[rows] = self._prior[began.model]
         self.engine.robots.begin(rows)

@@ -50,7 +50,7 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
     InapplicableError
         The action is not applicable in any state in which the person probably is. Nothing has changed.
     """
-    k, beliefs, policy, row = record.place, team.beliefs, record.problem.policy, record.problem.row(step.place)
+    k, beliefs, policy, row = record.place, team.beliefs, record.problem.policy, record.problem.row(step.situation)
     if step.seen is not None or is_uncertain(record, setting.observation):
         if record.joint is None:
             beliefs.x[k] = row
@@ -111,11 +111,11 @@ def hear(team: Roster, record: RosterEntry, told: Told, setting: Setting) -> Non
 
 
 def believe_again(
-    team: Roster, record: RosterEntry, setting: Setting, *, place: int | None = None, offer: Offer | None = None
+    team: Roster, record: RosterEntry, setting: Setting, *, situation: int | None = None, offer: Offer | None = None
 ) -> None:
     """Compute the belief in a person from the beginning of the task, after which a suggestion may be open.
 
-    They are at their most probable place unless one is given.
+    They are in their most probable situation unless one is given.
     """
     team.belief[record.place], record.joint, record.earlier, erred = record.before, None, None, False
     for count in range(len(record.steps) + 1):
@@ -124,7 +124,7 @@ def believe_again(
                 one.tell(team, record, setting)
         if count < len(record.steps):
             erred = believe(team, record, record.steps[count], setting)
-    row = team.row(record) if place is None else record.problem.row(place)
+    row = team.row(record) if situation is None else record.problem.row(situation)
     team.put(record, row, erred=erred, offer=offer)
 
 
@@ -208,6 +208,6 @@ def _follow(team: Roster, k: int, said: int) -> Spread:
         return Spread(0.0, 0.0, 0.0)
     chance = pomdp.likelihood(x, np.array([said]), slot)[0].reshape(-1)
     order = np.argsort(chance)
-    values, place = np.unique(chance[order], return_inverse=True)
-    weights = np.bincount(place, team.belief[k].reshape(-1)[order]).astype(float)
+    values, inverse = np.unique(chance[order], return_inverse=True)
+    weights = np.bincount(inverse, team.belief[k].reshape(-1)[order]).astype(float)
     return Spread.of(values, weights, limits=(0.0, 1.0))

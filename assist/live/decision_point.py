@@ -261,7 +261,7 @@ class DecisionPoint:
     def _known(self, place: int, said: int) -> tuple[Choices | CostToGo, int]:
         """Return all choices of a person's task, and their state there, with the goal that a suggestion is for."""
         _, policy, row = self._at(place)
-        return policy.problem.task_of(self._goal(place, said)[0]), int(policy.places(np.array([row]))[0])
+        return policy.problem.task_of(self._goal(place, said)[0]), int(policy.situations(np.array([row]))[0])
 
     def _goal(self, place: int, said: int) -> tuple[int, float]:
         """Return the number of the goal that a suggestion is for, and its probability.

@@ -126,7 +126,7 @@ class History(ABC, Generic[R]):
         """Return the operator's view of a person."""
 
     @abstractmethod
-    def place(self, person: str) -> tuple[CostToGo | Goals, int]:
+    def task_and_state(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
 
     def news(self, person: str) -> Sequence[News]:  # noqa: ARG002

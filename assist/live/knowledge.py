@@ -268,7 +268,7 @@ class Knowledge:
         if seen is None and not is_uncertain(record, self.setting.observation):
             slot = problem.slot(row, action or "")
             to = problem.after(row, slot)
-            step = Step(problem.place(row), offer, slot, problem.choices.name(row, slot))
+            step = Step(problem.situation(row), offer, slot, problem.choices.name(row, slot))
             erred = believe(self.roster, record, step, self.setting)
         else:
             if seen is not None and likelihoods is not None:
@@ -276,7 +276,7 @@ class Knowledge:
             elif action is not None:
                 action = problem.named(action)
             doubtful = seen is not None or self.setting.observation is not None
-            step = Step(problem.place(row), offer, NOTHING, action, seen, doubtful)
+            step = Step(problem.situation(row), offer, NOTHING, action, seen, doubtful)
             erred = believe(self.roster, record, step, self.setting)
             to = self.roster.row(record)
         record.did(step, time)
@@ -329,7 +329,7 @@ class Knowledge:
         again = None if last.offer is None else last.offer._replace(number=roster.event, time=roster.time)
         record.news[:] = [replace(one, steps=min(one.steps, len(record.steps))) for one in record.news]
         record.close_questions()
-        believe_again(roster, record, self.setting, place=last.place, offer=again)
+        believe_again(roster, record, self.setting, situation=last.situation, offer=again)
         if record.offer is not None and record.offer.reason is not None:
             said = record.offer.said
             roster.give_reason(record, self._decisions.reason(self._explaining(record.place), record.place, said))

@@ -69,7 +69,7 @@ class LiveQuestions:
         return Question(record.name, record.problem.choices.goals.names[goal], (), worth) if worth > NEAR else None
 
     def _about_action(self, record: RosterEntry, *, least: float = 0.01) -> Question | None:
-        if record.joint is None or len(record.joint.places) == 1 or "action" in record.asked:
+        if record.joint is None or len(record.joint.situations) == 1 or "action" in record.asked:
             return None
         if worth_of_knowing(record.problem.policy, record.joint) <= self._cost:
             return None  # an answer is worth no more than to know all

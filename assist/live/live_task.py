@@ -78,21 +78,21 @@ class LiveTask:
         """The choices in each row."""
         return self.policy.pomdp.model.choices
 
-    def row(self, place: int) -> int:
-        """Return the row of a place."""
-        return int(self.policy.rows(np.array([place]))[0])
+    def row(self, situation: int) -> int:
+        """Return the row of a situation."""
+        return int(self.policy.rows(np.array([situation]))[0])
 
-    def place(self, row: int) -> int:
-        """Return the place of a row."""
-        return int(self.policy.places(np.array([row]))[0])
+    def situation(self, row: int) -> int:
+        """Return the situation of a row."""
+        return int(self.policy.situations(np.array([row]))[0])
 
     def state(self, row: int) -> int:
         """Return the task state of a row."""
-        return int(self.policy.problem.states(self.policy.places(np.array([row])))[0])
+        return int(self.policy.problem.states(self.policy.situations(np.array([row])))[0])
 
     def after(self, row: int, slot: int) -> int:
         """Return the row to which a choice leads."""
-        return self.row(self.place(int(self.choices.targets[row, slot])))
+        return self.row(self.situation(int(self.choices.targets[row, slot])))
 
     def options(self, row: int) -> NDArray[np.int32]:
         """Return the applicable ground actions in the order of their slots; none where a person can only wait."""

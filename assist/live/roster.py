@@ -46,12 +46,12 @@ class Offer(NamedTuple):
 class Step(NamedTuple):
     """A person's action: where it was taken, what was suggested before it, its slot, and the action in PDDL notation.
 
-    `place` is a place of `LiveTask`. `seen` is what was seen if the action is uncertain: `likelihoods`, or the
+    `situation` is one of `LiveTask`. `seen` is what was seen if the action is uncertain: `likelihoods`, or the
     probability `missed` that one was missed. The action is then the likeliest one, or None. It is also `doubtful` if
     the robot sees all actions unreliably.
     """
 
-    place: int
+    situation: int
     offer: Offer | None
     slot: int
     action: str | None

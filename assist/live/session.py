@@ -451,9 +451,9 @@ class Session(Reports):
         """
         return self.see(lambda history: history.log(task))
 
-    def place(self, person: str) -> tuple[CostToGo | Goals, int]:
+    def task_and_state(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
-        return self._of(person, lambda history: history.place(person))
+        return self._of(person, lambda history: history.task_and_state(person))
 
     def _of(self, person: str, view: Callable[[Any], T]) -> T:
         """Return a view of a person who is present."""

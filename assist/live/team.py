@@ -198,7 +198,7 @@ class Team(History[TeamRecord]):
 
     # Views.
 
-    def place(self, person: str) -> tuple[CostToGo | Goals, int]:
+    def task_and_state(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
         return self.tasks[self.desk.entry(person).tasks[-1]], self._state(person).state
 

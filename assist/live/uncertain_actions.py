@@ -78,8 +78,8 @@ def seen_of(
 
 def prepare_uncertain(problem: LiveTask) -> None:
     """Update a belief over task states once, so that nobody waits later for what is compiled for it."""
-    place = problem.place(problem.row(problem.initial))
-    at_first = JointBelief.at(place, problem.policy.pomdp.prior)
+    situation = problem.situation(problem.row(problem.initial))
+    at_first = JointBelief.at(situation, problem.policy.pomdp.prior)
     with suppress(ImpossibleObservationError):  # who has reached the goal already does nothing
         at_first.after(Evidence.none(problem.choices), NOTHING, problem.policy)
 
@@ -110,7 +110,7 @@ def update_by(record: RosterEntry, step: Step, model: ObservationModel | None) -
         The action is not applicable in any state in which the person probably is. Nothing has changed.
     """
     problem, beliefs, place = record.problem, record.team.beliefs, np.array([record.place])
-    policy, row = problem.policy, problem.row(step.place)
+    policy, row = problem.policy, problem.row(step.situation)
     choices, said = problem.choices, NOTHING if step.suggestion is None else problem.ground(step.suggestion)
     glimpse = glimpse_of(problem, choices, step, model)
     try:

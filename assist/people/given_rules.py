@@ -47,10 +47,10 @@ def _given(rule: Any, least: float) -> str | TrustRule | None:
     if isinstance(rule, Mapping):
         return of_table(RULES, rule)
     if isinstance(rule, str):
-        place = parse(rule)
-        if place is None and rule not in RULES:
+        source = parse(rule)
+        if source is None and rule not in RULES:
             raise ValueError(f"'{rule}'; {expected(rule, RULES, ', a rule, or FILE.py:RULE')}")
-        return rule if place is None else possible(UserTrustRule.load(*place), least)
+        return rule if source is None else possible(UserTrustRule.load(*source), least)
     if not hasattr(rule, "update"):
         raise ValueError(f"{rule!r}; expected a name, or an object with uses_answer, feedback and update")
     found: TrustRule = rule if is_declared(type(rule)) else possible(rule, least)

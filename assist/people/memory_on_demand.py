@@ -137,7 +137,7 @@ class Remembering(CostToGo):
 
     def _numbered(self, pairs: Ints) -> Ints:
         """Return the numbers of pairs, shape (N, 3), of state, last action and its state; new pairs are added."""
-        wanted, place = np.unique(pairs, axis=0, return_inverse=True)
+        wanted, inverse = np.unique(pairs, axis=0, return_inverse=True)
         rows = list(map(tuple, wanted.tolist()))
         with self._lock:
             new = [row for row in rows if row not in self._number]
@@ -148,7 +148,7 @@ class Remembering(CostToGo):
             if new:
                 self._pairs[size - len(new) : size] = new
             numbers = np.array([self._number[row] for row in rows], dtype=np.int64)
-        return numbers[place.reshape(-1)]
+        return numbers[inverse.reshape(-1)]
 
 
 @dataclass(frozen=True)

@@ -39,10 +39,10 @@ def _ordered(least: float, most: float) -> Any:
 def _chooses(given: Any) -> Any:
     """Return a choice model; a text FILE.py:FUNCTION is the user's."""
     if isinstance(given, str):
-        place = parse(given)
-        if place is None:
+        source = parse(given)
+        if source is None:
             raise ValueError(f"'{given}'; expected FILE.py:FUNCTION")
-        return UserChoiceModel.load(*place)
+        return UserChoiceModel.load(*source)
     if given is not None and not callable(given):
         raise ValueError(f"{given!r}; expected a function, or FILE.py:FUNCTION")
     return given

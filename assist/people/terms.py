@@ -61,8 +61,8 @@ class Vocabulary:
         names: dict[str, int] = {}
         name = np.array([*(names.setdefault(row[0], len(names)) for row in words), -1], dtype=np.int64)
         arguments = np.full((len(rows) + 1, max(map(len, rows), default=0)), -1, dtype=np.int64)
-        for place, row in enumerate(rows):
-            arguments[place, : len(row)] = row
+        for one, row in enumerate(rows):
+            arguments[one, : len(row)] = row
         return cls(name, arguments)
 
 
@@ -159,13 +159,13 @@ def features(situation: Situation, terms: Mapping[str, Term] = TERMS) -> Floats:
         A term does not return a finite number for each choice.
     """
     result = np.zeros((*situation.applicable.shape, len(terms)))
-    for place, (called, term) in enumerate(terms.items()):
+    for number, (called, term) in enumerate(terms.items()):
         value = np.asarray(term(situation), dtype=np.float64)
         if value.shape != situation.applicable.shape:
             raise ValueError(f"term '{called}': shape {value.shape}; expected {situation.applicable.shape}")
         if not np.isfinite(value[situation.applicable]).all():
             raise ValueError(f"term '{called}': expected a finite number for each choice")
-        result[:, :, place] = np.where(situation.applicable, value, 0.0)
+        result[:, :, number] = np.where(situation.applicable, value, 0.0)
     return result
 
 

@@ -39,8 +39,8 @@ def parse(text: str, folder: Path | None = None) -> tuple[Path, str] | None:
 
 def function_beside(folder: Path, text: str) -> str:
     """Return FILE.py:FUNCTION with a path from a folder; other texts unchanged."""
-    place = parse(text, folder)
-    return text if place is None else f"{place[0]}:{place[1]}"
+    source = parse(text, folder)
+    return text if source is None else f"{source[0]}:{source[1]}"
 
 
 def load(file: Path, name: str) -> Any:

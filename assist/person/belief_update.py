@@ -109,8 +109,8 @@ def posteriors(belief: Floats, x: Ints, action: Ints, slot: Ints, m: ProblemArra
     up = np.where(followed, m.followed_weight[x, action], m.weight[x, action])[:, m.goal_of]
     parts = np.stack([joint * (1.0 - up), joint * up], axis=-1)
     first = np.arange(len(rows) * types).reshape(-1, types, 1, 1) * thetas
-    places = first + np.stack([at, at + 1], axis=-1)
-    sums = np.bincount(places.ravel(), parts.ravel(), minlength=joint.size)  # which adds in the order of the places
+    cells = first + np.stack([at, at + 1], axis=-1)
+    sums = np.bincount(cells.ravel(), parts.ravel(), minlength=joint.size)  # which adds in the order of the cells
     after[rows] = sums[: joint.size].reshape(joint.shape)
     return after, mass
 

@@ -142,7 +142,7 @@ class Beliefs(Protocol):
         ...
 
     def joint(self, person: int, policy: Policy) -> JointBelief:
-        """Return the belief in a person with a policy, over places and types together."""
+        """Return the belief in a person with a policy, over situations and types together."""
         ...
 
     @property

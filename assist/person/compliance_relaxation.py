@@ -131,10 +131,10 @@ def compliance_bounds(
     if human is not None and not mistaken_about_states(human):
         raise ValueError("expected a person who is mistaken about states, not about actions")
     rows = known.choices(states)
-    place = np.minimum(np.searchsorted(states, rows.targets), len(states) - 1)
-    inside = states[place] == rows.targets
+    index = np.minimum(np.searchsorted(states, rows.targets), len(states) - 1)
+    inside = states[index] == rows.targets
     rest = np.unique(rows.targets[~inside])
-    number = np.where(inside, place, len(states) + np.searchsorted(rest, rows.targets)).astype(np.int32)
+    number = np.where(inside, index, len(states) + np.searchsorted(rest, rows.targets)).astype(np.int32)
     every = np.concatenate([states, rest])
     h = known.lookup(every)
     perceived = h if human is None else perceived_of_states(human, known, every, h)

@@ -1,6 +1,6 @@
 """One person's problem on the rows in which people have been, in a task of any size.
 
-A `GrowingProblem` computes what is known of a place when it is asked for its row: the choices there, their
+A `GrowingProblem` computes what is known of a situation when it is asked for its row: the choices there, their
 probabilities and the robot's actions. Two things take more, and are computed when they are first used:
 
 - What a suggestion does to trust depends on the value of its successor, so that one more state has to be looked up.
@@ -40,7 +40,7 @@ from .truncated_bound import bounded
 from .truncated_task import TruncatedTask
 
 OF_PLACES = {"h": np.inf, "goal": False, "key": 0}
-"""What is known of a place that was only looked up, as the successor of a choice."""
+"""What is known of a situation that was only looked up, as the successor of a choice."""
 
 OF_CHOICES = {
     "known": False, "applicable": False, "actions": WAIT, "targets": OWN, "costs": 0.0, "best": False,
@@ -108,9 +108,9 @@ class GrowingProblem(ProblemRows):
         """The largest numbers that occur anywhere in the task."""
         return self.ground.extent(self.assumed)
 
-    def states(self, places: Ints) -> Ints:
-        """Return the task state of each place, shape (N,)."""
-        return memory_of(self.ground.known).state_of(places)
+    def states(self, situations: Ints) -> Ints:
+        """Return the task state of each situation, shape (N,)."""
+        return memory_of(self.ground.known).state_of(situations)
 
     def bounded(
         self, entry: float, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
@@ -137,18 +137,18 @@ class GrowingProblem(ProblemRows):
         """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
         return self.assumed.problem(region.choices, region.bounds_of_anybody(self.assumed))
 
-    def rows(self, places: Ints, holder: object = None) -> Ints:
-        """Return the row of each place, shape (N,), and compute what is not known of it.
+    def rows(self, situations: Ints, holder: object = None) -> Ints:
+        """Return the row of each situation, shape (N,), and compute what is not known of it.
 
         Parameters
         ----------
-        places : int array, shape (N,)
+        situations : int array, shape (N,)
             States of the task.
         holder : object, optional
-            It holds these rows from now on, in the place of those that it held before.
+            It holds these rows from now on, in place of those that it held before.
         """
         with self._lock:
-            wanted, place = np.unique(places, return_inverse=True)
+            wanted, inverse = np.unique(situations, return_inverse=True)
             rows = self._rows.find(wanted)
             missing = rows < 0
             missing[~missing] = ~self._rows["known"][rows[~missing]]
@@ -161,17 +161,17 @@ class GrowingProblem(ProblemRows):
                 rows = self._rows.find(wanted)
             if holder is not None:
                 self._rows.hold(holder, rows)
-            return np.asarray(rows[place.reshape(-1)])
+            return np.asarray(rows[inverse.reshape(-1)])
 
     def hold(self, holder: object, rows: Ints) -> None:
-        """Let a holder hold these rows in the place of those that it held before."""
+        """Let a holder hold these rows in place of those that it held before."""
         with self._lock:
             self._rows.hold(holder, rows)
 
-    def places(self, rows: Ints) -> Ints:
-        """Return the place of each row, shape (N,)."""
+    def situations(self, rows: Ints) -> Ints:
+        """Return the situation of each row, shape (N,)."""
         with self._lock:
-            return np.asarray(self._rows.place_of[rows])
+            return np.asarray(self._rows.situation_of[rows])
 
     @property
     def now(self) -> Snapshot:
@@ -191,8 +191,8 @@ class GrowingProblem(ProblemRows):
             then = self._then(x[said])[np.arange(len(said)), action[said]]
             silent = ~self._rows["effect_known"][x[said], action[said]]
             if silent.any():
-                places = self._rows.place_of
-                self._learn(np.unique(places[x[said][silent]]), then=places[then[silent]])
+                situations = self._rows.situation_of
+                self._learn(np.unique(situations[x[said][silent]]), then=situations[then[silent]])
             return np.concatenate([np.arange(len(x)), said]), np.concatenate([x, then])
 
     def q_values(self, name: str, backup: Backup, position: int, x: Ints, belief: Floats) -> Floats:
@@ -228,7 +228,7 @@ class GrowingProblem(ProblemRows):
             if len(silent):
                 step = self._step
                 if not (step.ahead and np.isin(silent, step.rows).all()):
-                    step = self._learn(self._rows.place_of[silent])
+                    step = self._learn(self._rows.situation_of[silent])
                 for one, values in zip((q, count), backup(step.pomdp, step.region, len(step.rows)), strict=True):
                     self._rows.put(one, step.rows, values)
             return self._rows[q], self._rows[count]
@@ -253,26 +253,28 @@ class GrowingProblem(ProblemRows):
         then = np.take_along_axis(self._rows["targets"][rows], np.maximum(suggested, 0), axis=1)
         return np.where(suggested == NOTHING, self._rows["afterstate"][rows], then)
 
-    def _learn(self, places: Ints, then: Ints = NONE) -> _Step:
-        """Compute what is known of different places, and return their problem of one step.
+    def _learn(self, situations: Ints, then: Ints = NONE) -> _Step:
+        """Compute what is known of different situations, and return their problem of one step.
 
         `then` are successors to which suggestions lead.
         """
         # Where looking up a state is slow, the effects of suggestions on trust are computed when they are first used.
         ahead, optimal = not self.searches or bool(self._tables), self.assumed.suggestions == "optimal"
-        region = TruncatedTask.around(self.ground.visited, places, then=then, ahead=ahead, advice_is_optimal=optimal)
+        region = TruncatedTask.around(
+            self.ground.visited, situations, then=then, ahead=ahead, advice_is_optimal=optimal
+        )
         pomdp, rows, inside = self.on(region), self._rows, np.ones(len(region.states), dtype=bool)
         inside[region.frontier] = False
-        at = np.sort(np.unique(region.states, return_index=True)[1])  # each place once; those asked for come first
+        at = np.sort(np.unique(region.states, return_index=True)[1])  # each situation once; those asked for come first
         at = at[rows.find(region.states[at]) < 0]
         own, goals = rows.add(region.states[at]), region.choices.goals
         rows.put("h", own, goals.h[:, at].T)
         rows.put("goal", own, goals.goal[:, at].T)
         rows.put("key", own, region.choices.keys[at])
         row = rows.find(region.states)
-        self._put_choices(region, pomdp, row, inside, len(places))
+        self._put_choices(region, pomdp, row, inside, len(situations))
         self._put_trust(pomdp, row, inside)
-        self._step = _Step(row[: len(places)], region, pomdp, ahead)
+        self._step = _Step(row[: len(situations)], region, pomdp, ahead)
         return self._step
 
     def _put_choices(self, region: TruncatedTask, pomdp: AssistPOMDP, row: Ints, inside: Any, count: int) -> None:
@@ -282,7 +284,7 @@ class GrowingProblem(ProblemRows):
         if "known" in rows:
             fresh &= ~rows["known"][row]
         at = np.flatnonzero(fresh)
-        at = at[np.unique(row[at], return_index=True)[1]]  # a place may be both one of those and a successor
+        at = at[np.unique(row[at], return_index=True)[1]]  # a situation may be both one of those and a successor
         own, executed = row[at], pomdp.executed(at)
         afterstate = np.take_along_axis(row[choices.targets[at]], np.maximum(executed, 0), axis=1)
         afterstate = np.where(executed == NOTHING, own[:, None], afterstate)

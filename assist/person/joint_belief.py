@@ -1,8 +1,8 @@
 """The belief in a person whose actions are not all seen as they are: over the task state, the type and theta together.
 
 The states that are possible are few at first, and grow with each uncertain observation. A `JointBelief` has an entry
-for each of them; improbable ones are left out, and their probability is reported. It has places (`person.rows`): rows
-may come and go, and those of its places are held where it is used.
+for each of them; improbable ones are left out, and their probability is reported. It has situations (`person.rows`):
+rows may come and go, and those of its situations are held where it is used.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class JointBelief:
 
     Attributes
     ----------
-    places : int array, shape (S,)
+    situations : int array, shape (S,)
         The possible states or, with terms, pairs of a state and a memory.
     joint : float array, shape (S, H, T)
         Probability of each state with each type and theta; the sum is 1.
@@ -51,20 +51,20 @@ class JointBelief:
         Probability of what was seen last, before it was seen.
     """
 
-    places: Ints
+    situations: Ints
     joint: Floats
     erred: float = 0.0
     pruned: float = 0.0
     evidence: float = 1.0
 
     @classmethod
-    def at(cls, place: int, belief: Floats) -> JointBelief:
-        """Return the belief in a person whose place is known, with a belief, shape (H, T)."""
-        return cls(np.array([place]), belief[None].copy())
+    def at(cls, situation: int, belief: Floats) -> JointBelief:
+        """Return the belief in a person whose situation is known, with a belief, shape (H, T)."""
+        return cls(np.array([situation]), belief[None].copy())
 
     def rows(self, policy: Policy) -> Ints:
-        """Return the rows of the places in the person's problem, shape (S,), and hold them."""
-        return policy.rows(self.places, self)
+        """Return the rows of the situations in the person's problem, shape (S,), and hold them."""
+        return policy.rows(self.situations, self)
 
     @cached_property
     def probability(self) -> Floats:
@@ -73,8 +73,8 @@ class JointBelief:
 
     @property
     def likeliest(self) -> int:
-        """The most probable place."""
-        return int(self.places[self.probability.argmax()])
+        """The most probable situation."""
+        return int(self.situations[self.probability.argmax()])
 
     @property
     def belief(self) -> Floats:
@@ -119,7 +119,8 @@ class JointBelief:
         total = float(joint.sum())
         if not total > 0:
             raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
-        return JointBelief(policy.places(to), joint / total, float(erred / total), self.pruned, total).without(least)
+        found = JointBelief(policy.situations(to), joint / total, float(erred / total), self.pruned, total)
+        return found.without(least)
 
     def after_some(self, evidence: Evidence, suggestion: int, policy: Policy, *, miss: float) -> JointBelief:
         """Return the belief after something was seen, before which the person may have acted unseen.
@@ -188,13 +189,13 @@ class JointBelief:
             return self
         kept = self.probability[keep].sum()
         return replace(
-            self, places=self.places[keep], joint=self.joint[keep] / kept, pruned=self.pruned + float(1 - kept)
+            self, situations=self.situations[keep], joint=self.joint[keep] / kept, pruned=self.pruned + float(1 - kept)
         )
 
     def states(self, policy: Policy) -> dict[int, float]:
         """Return the probability of each possible task state."""
         found: dict[int, float] = {}
-        states = policy.problem.states(self.places).tolist()
+        states = policy.problem.states(self.situations).tolist()
         for state, probability in zip(states, self.probability.tolist(), strict=True):
             found[state] = found.get(state, 0.0) + probability
         return found
@@ -207,11 +208,11 @@ class JointBelief:
 
     def mixed(self, other: JointBelief, share: float) -> JointBelief:
         """Return the mixture of this belief and another one of weight `share`."""
-        places, row = np.unique(np.concatenate([self.places, other.places]), return_inverse=True)
-        joint = np.zeros((len(places), *self.joint.shape[1:]))
+        situations, row = np.unique(np.concatenate([self.situations, other.situations]), return_inverse=True)
+        joint = np.zeros((len(situations), *self.joint.shape[1:]))
         np.add.at(joint, row, np.concatenate([(1 - share) * self.joint, share * other.joint]))
         pruned = (1 - share) * self.pruned + share * other.pruned
-        return JointBelief(places, joint, (1 - share) * self.erred + share * other.erred, pruned)
+        return JointBelief(situations, joint, (1 - share) * self.erred + share * other.erred, pruned)
 
 
 def is_certain(probability: float) -> bool:
@@ -252,7 +253,7 @@ def expected_answers(ask: Any, policy: Policy, x: Ints, joint: Sequence[JointBel
         A row of each person.
     joint : sequence of JointBelief
     """
-    person = np.repeat(np.arange(len(x)), [len(one.places) for one in joint])
+    person = np.repeat(np.arange(len(x)), [len(one.situations) for one in joint])
     states = np.concatenate([one.rows(policy) for one in joint])
     weight = np.concatenate([one.probability for one in joint])
     pomdp = policy.pomdp

@@ -80,8 +80,8 @@ class KnownStates:
         return said
 
     def joint(self, person: int, policy: Policy) -> JointBelief:
-        """Return the belief in a person over places and types, as in `Beliefs`."""
-        return JointBelief.at(int(policy.places(self.x[person : person + 1])[0]), self.belief[person])
+        """Return the belief in a person over situations and types, as in `Beliefs`."""
+        return JointBelief.at(int(policy.situations(self.x[person : person + 1])[0]), self.belief[person])
 
     @property
     def pruned(self) -> Floats:

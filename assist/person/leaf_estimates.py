@@ -110,10 +110,10 @@ class LeafEstimates:
     @classmethod
     def _of_values(cls, region: TruncatedTask, value: Floats, costs: Floats, gamma: float) -> LeafEstimates:
         """Return the estimates for values of the states inside a truncated task, shape (m, P, H, T)."""
-        level, place = np.unique(region.choices.h[region.inside], return_inverse=True)
+        level, inverse = np.unique(region.choices.h[region.inside], return_inverse=True)
         mean = np.zeros((len(level), *value.shape[1:]))
-        np.add.at(mean, place, value)
-        mean /= np.bincount(place, minlength=len(level))[:, None, None, None]
+        np.add.at(mean, inverse, value)
+        mean /= np.bincount(inverse, minlength=len(level))[:, None, None, None]
         return cls(region.states[region.inside], value, level, mean, costs, gamma)
 
     def a_step_before(self, problem: AssistPOMDP, region: TruncatedTask, rows: Ints) -> LeafEstimates:
@@ -134,10 +134,10 @@ class LeafEstimates:
         h : float array, shape (N,)
             Their exact cost-to-go.
         """
-        place = np.minimum(np.searchsorted(self.states, states), len(self.states) - 1)
-        inside = self.states[place] == states
+        index = np.minimum(np.searchsorted(self.states, states), len(self.states) - 1)
+        inside = self.states[index] == states
         values = np.empty((len(states), *self.value.shape[1:]))
-        values[inside] = self.value[place[inside]]
+        values[inside] = self.value[index[inside]]
         values[~inside] = self.beyond(h[~inside])
         return values
 

@@ -46,32 +46,32 @@ class Growth:
     def __init__(self, seen: StateCache, betas: Floats, start: int, human: Human | None) -> None:
         self.seen, self.betas, self.human = seen, betas, human
         self.cost = first_of(seen.known).task.action_costs
-        self.queue: list[tuple[float, int, int]] = []  # minus the probability, place, and number of the path
+        self.queue: list[tuple[float, int, int]] = []  # minus the probability, index, and number of the path
         self.paths: list[Floats] = []
         self.expanded: set[int] = set()
         shares = np.array(list(prior_of(seen.known).values()))
         self.possible = shares > 0
         self._reach(seen.add(np.array([start])), shares[None])
 
-    def _reach(self, places: Ints, weights: Floats) -> None:
+    def _reach(self, index: Ints, weights: Floats) -> None:
         """Add paths of probability `weights`, shape (N, G), to those of some states that are not expanded."""
-        unexpanded = np.flatnonzero(~self.seen.is_expanded(places))
-        here = places[unexpanded]
+        unexpanded = np.flatnonzero(~self.seen.is_expanded(index))
+        here = index[unexpanded]
         open_goals = ~self.seen.goal[here]
         going = weights[unexpanded] * open_goals
         sizes, goes_on = going.sum(axis=1).tolist(), (self.possible & open_goals).any(axis=1).tolist()
-        for place, path, size, further in zip(here.tolist(), going, sizes, goes_on, strict=True):
+        for at, path, size, further in zip(here.tolist(), going, sizes, goes_on, strict=True):
             if further:
-                heapq.heappush(self.queue, (-size, place, len(self.paths)))
+                heapq.heappush(self.queue, (-size, at, len(self.paths)))
                 self.paths.append(path)
 
     def step(self, most: int) -> int:
         """Expand the most likely states, at most `most` of them; return their number."""
         batch: dict[int, Floats] = {}
         while self.queue and len(batch) < most:
-            _, place, path = heapq.heappop(self.queue)
-            if place not in batch and place not in self.expanded:
-                batch[place] = self.paths[path]
+            _, at, path = heapq.heappop(self.queue)
+            if at not in batch and at not in self.expanded:
+                batch[at] = self.paths[path]
         if not batch:
             return 0
         offsets, targets, actions, _ = self.seen.choices(self.seen.expand(np.array(list(batch))))

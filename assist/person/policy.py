@@ -1,9 +1,9 @@
 """Policies for one person's problem, whatever the size of the task.
 
-The problem of a policy has a row for each place where people may be (`person.problem_rows`). If all states of the task
-are enumerated, all rows are there from the start. In a task that is too large for that (`person.truncated_policy`), a
-place gets its row when somebody comes there. Users of a policy do not distinguish them: they ask for the rows of the
-places where people are (`Policy.rows`), and for the place of a row.
+The problem of a policy has a row for each situation of people (`person.problem_rows`). If all states of the task are
+enumerated, all rows are there from the start. In a task that is too large for that (`person.truncated_policy`), a
+situation gets its row when somebody comes there. Users of a policy do not distinguish them: they ask for the rows of
+people's situations (`Policy.rows`), and for the situation of a row.
 """
 
 from __future__ import annotations
@@ -71,13 +71,13 @@ class Policy:
         """The problem with its rows; those of a whole task unless a subclass says otherwise."""
         return WholeProblem(self.pomdp)
 
-    def rows(self, places: Ints, holder: object = None) -> Ints:
-        """Return the row of each place where people are, shape (N,); arguments as in `ProblemRows.rows`."""
-        return self.problem.rows(places, holder)
+    def rows(self, situations: Ints, holder: object = None) -> Ints:
+        """Return the row of each situation in which people are, shape (N,); arguments as in `ProblemRows.rows`."""
+        return self.problem.rows(situations, holder)
 
-    def places(self, rows: Ints) -> Ints:
-        """Return the place of each row, shape (N,)."""
-        return self.problem.places(rows)
+    def situations(self, rows: Ints) -> Ints:
+        """Return the situation of each row, shape (N,)."""
+        return self.problem.situations(rows)
 
     @property
     def arrays(self) -> ProblemArrays:

@@ -296,7 +296,7 @@ class _Equations:
     """
 
     order: Ints
-    place: NDArray[np.int32]
+    index: NDArray[np.int32]
     least: int
     filled: NDArray[np.int32]
     rows: _Rows
@@ -309,15 +309,15 @@ class _Equations:
         The values of others are fixed.
         """
         first = np.concatenate([[0], np.cumsum(room.repeat(thetas))])
-        place = np.full(states, -1, dtype=np.int32)
-        place[order] = np.arange(len(order))
+        index = np.full(states, -1, dtype=np.int32)
+        index[order] = np.arange(len(order))
         entries = int(first[-1])
         rows = _Rows(
             first, first[:-1].copy(), np.empty(entries, np.int32), np.empty(entries), np.empty(entries),
             np.empty(len(first) - 1),
         )  # fmt: skip
         filled = np.full((len(order), thetas), -1, dtype=np.int32)
-        return cls(order, place, least, filled, rows, m)
+        return cls(order, index, least, filled, rows, m)
 
     @property
     def end(self) -> int:
@@ -330,7 +330,7 @@ class _Equations:
         The change is larger if time is over, or if no method converges.
         """
         thetas = slice(self.least, self.end)
-        _fill_rows(self.rows, self.filled, self.order, self.place, policy, found, self.least, self.m)
+        _fill_rows(self.rows, self.filled, self.order, self.index, policy, found, self.least, self.m)
         value = np.append(found[self.order, 0, thetas], 0.0)
         value = _solved(value, self.rows, goal, stop)
         found[self.order, 0, thetas] = value[:-1].reshape(self.filled.shape)
@@ -447,7 +447,7 @@ def _fill_rows(
     rows: _Rows,
     filled: NDArray[np.int32],
     order: Ints,
-    place: NDArray[np.int32],
+    index: NDArray[np.int32],
     policy: NDArray[np.int32],
     value: Floats,
     least: int,
@@ -455,7 +455,7 @@ def _fill_rows(
 ) -> None:
     """Fill in the equations of a policy, shape (n, T), where it is not the one that is `filled` in.
 
-    The first theta has the index `least`. `place` is the index of each state in the order; -1 stands for states with
+    The first theta has the index `least`. `index` has the index of each state in the order; -1 stands for states with
     fixed values, which become constants, as do those of other thetas.
     """
     thetas, end = filled.shape[1], least + filled.shape[1]
@@ -486,15 +486,15 @@ def _fill_rows(
                 constant -= p * costs[acting, a]
                 at, part = (followed_low, followed_up) if a == slot else (low, up)
                 y, p = targets[acting, a], m.gamma * p
-                before = place[y] >= 0 and least <= at < end
-                after = place[y] >= 0 and least <= at + 1 < end
+                before = index[y] >= 0 and least <= at < end
+                after = index[y] >= 0 and least <= at + 1 < end
                 share, further = p * (1.0 - part), p * part
                 if not before:
                     constant += share * value[y, 0, at]
                 if not after and part > 0.0:
                     constant += further * value[y, 0, at + 1]
                 if before or after:
-                    column[k] = place[y] * thetas + at - least if before else place[y] * thetas
+                    column[k] = index[y] * thetas + at - least if before else index[y] * thetas
                     shares[k] = share if before else further
                     furthers[k] = further if before and after else 0.0
                     k += 1

@@ -1,7 +1,8 @@
-"""The rows of one person's problem: all of them from the start, or those of the places where people have been.
+"""The rows of one person's problem: all of them from the start, or those of situations in which people have been.
 
-A policy asks its problem for the rows of places (`person.rows`) and reads the problem on all rows so far. In a
-`WholeProblem` all rows were added at the start. In a `GrowingProblem` a place gets its row when somebody comes there.
+A policy asks its problem for the rows of situations (`person.rows`) and reads the problem on all rows so far. In a
+`WholeProblem` all rows were added at the start. In a `GrowingProblem` a situation gets its row when somebody comes
+there.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Snapshot(NamedTuple):
     arrays : ProblemArrays
         The problem in the form that compiled code reads.
     stamps : int array, shape (n,)
-        A number for each row that is another one when the row has another place.
+        A number for each row that is another one when the row has another situation.
     """
 
     pomdp: AssistPOMDP
@@ -57,14 +58,14 @@ class Extent(NamedTuple):
 
 
 class ProblemRows(Protocol):
-    """One person's problem on rows. Methods take N places or rows at a time.
+    """One person's problem on rows. Methods take N situations or rows at a time.
 
     Attributes
     ----------
     region : int or None
-        Number of states of the truncated task on which values are computed; None if all places have rows.
+        Number of states of the truncated task on which values are computed; None if all situations have rows.
     first : AssistPOMDP
-        The problem before anybody has come to another place than the initial one; or the whole problem.
+        The problem before anybody has come to another situation than the initial one; or the whole problem.
     lasting : int array
         The rows of which everything is known and stays known: all of them, or none.
     task : Choices or CostToGo
@@ -92,7 +93,7 @@ class ProblemRows(Protocol):
 
     @property
     def whole(self) -> bool:
-        """Whether all places have rows, of which everything is known from the start."""
+        """Whether all situations have rows, of which everything is known from the start."""
         return self.region is None
 
     def bounded(
@@ -108,8 +109,8 @@ class ProblemRows(Protocol):
         """Return the whole task with one of the goals, given by its number."""
         ...
 
-    def states(self, places: Ints) -> Ints:
-        """Return the task state of each place, shape (N,)."""
+    def states(self, situations: Ints) -> Ints:
+        """Return the task state of each situation, shape (N,)."""
         ...
 
     @property
@@ -117,12 +118,12 @@ class ProblemRows(Protocol):
         """The problem on all rows so far."""
         ...
 
-    def rows(self, places: Ints, holder: object = None) -> Ints:
-        """Return the row of each place where people are, shape (N,), and compute what is not known of it yet.
+    def rows(self, situations: Ints, holder: object = None) -> Ints:
+        """Return the row of each situation in which people are, shape (N,), and compute what is not known of it yet.
 
         Parameters
         ----------
-        places : int array, shape (N,)
+        situations : int array, shape (N,)
             Places as in `person.rows`: states of the task or, with terms, pairs of a state and a memory.
         holder : object, optional
             What keeps these numbers until it asks for others, or no longer exists. Rows without a holder may be evicted
@@ -131,10 +132,10 @@ class ProblemRows(Protocol):
         ...
 
     def hold(self, holder: object, rows: Ints) -> None:
-        """Let a holder hold these rows, shape (N,), in the place of those that it held before."""
+        """Let a holder hold these rows, shape (N,), in place of those that it held before."""
 
-    def places(self, rows: Ints) -> Ints:
-        """Return the place of each row, shape (N,)."""
+    def situations(self, rows: Ints) -> Ints:
+        """Return the situation of each row, shape (N,)."""
         ...
 
     def effects(self, x: Ints, action: Ints) -> tuple[Ints, Ints]:
@@ -147,7 +148,7 @@ class ProblemRows(Protocol):
 
 
 class WholeProblem(ProblemRows):
-    """One person's problem on a whole task: all rows were added at the start, and a row is its place.
+    """One person's problem on a whole task: all rows were added at the start, and a row is its situation.
 
     Parameters
     ----------
@@ -179,9 +180,9 @@ class WholeProblem(ProblemRows):
         """Return the choices with one of the goals."""
         return self._choices.of_goal(goal)
 
-    def states(self, places: Ints) -> Ints:
-        """Return the task state of each place, shape (N,)."""
-        return places if self._choices.state is None else self._choices.state[places]
+    def states(self, situations: Ints) -> Ints:
+        """Return the task state of each situation, shape (N,)."""
+        return situations if self._choices.state is None else self._choices.state[situations]
 
     @cached_property
     def now(self) -> Snapshot:
@@ -189,15 +190,15 @@ class WholeProblem(ProblemRows):
         every = np.zeros(len(self.first.robot_actions), dtype=np.int64)
         return Snapshot(self.first, ProblemArrays.of(self.first), read_only(every))
 
-    def rows(self, places: Ints, holder: object = None) -> Ints:
-        """Return the places."""
+    def rows(self, situations: Ints, holder: object = None) -> Ints:
+        """Return the situations."""
         del holder
-        return places
+        return situations
 
     def hold(self, holder: object, rows: Ints) -> None:
         """Do nothing: no row is evicted."""
 
-    def places(self, rows: Ints) -> Ints:
+    def situations(self, rows: Ints) -> Ints:
         """Return the rows."""
         return rows
 

@@ -1,9 +1,9 @@
 """Rows: where people are in a task of any size, and arrays with an entry for each.
 
-A *place* says where a person is: a state of the task or, with terms, a pair of a state and a memory. A *row* is the
-number under which the arrays of a person's problem have this place. A whole task has all rows from the start, and rows
-and places are the same. In a larger one, a place gets a row when somebody comes there, and the places to which its
-choices lead get one as well. `Rows.place_of` is the only place that knows which is which.
+A *situation* says where a person is in the task: a state or, with terms, a pair of a state and a memory. A *row* is the
+number under which the arrays of a person's problem have this situation. A whole task has all rows from the start, and
+rows and situations are the same. In a larger one, a situation gets a row when somebody comes there, and the situations
+to which its choices lead get one as well. `Rows.situation_of` alone knows which is which.
 
 Rows take memory. Where they are too many, those that nobody holds are evicted, and their numbers are used again. A
 *holder* is whatever keeps numbers of rows: a chunk of episodes, a person in a live team, a decision. It says which ones
@@ -46,8 +46,8 @@ class Rows:
     def __init__(self, blanks: Mapping[str, Blank]) -> None:
         self._blanks, self._arrays = dict(blanks), dict[str, NDArray[Any]]()
         self._capacity, self._size, self._free = 0, 0, NONE
-        self._place_of, self._born = NONE, NONE
-        self._places, self._rows = NONE, NONE  # ascending places, and the row of each
+        self._situation_of, self._born = NONE, NONE
+        self._situations, self._rows = NONE, NONE  # ascending situations, and the row of each
         self._held: WeakKeyDictionary[object, Ints] = WeakKeyDictionary()
         self.version = 0
 
@@ -75,39 +75,39 @@ class Rows:
 
     @property
     def used(self) -> int:
-        """The number of rows that have a place."""
-        return len(self._places)
+        """The number of rows that have a situation."""
+        return len(self._situations)
 
     @property
-    def place_of(self) -> Ints:
-        """The place of each row, shape (n,); -1 for a row that was evicted."""
-        return self._place_of[: self._size]
+    def situation_of(self) -> Ints:
+        """The situation of each row, shape (n,); -1 for a row that was evicted."""
+        return self._situation_of[: self._size]
 
     @property
     def born(self) -> Ints:
-        """How many rows had been added when each was, shape (n,): another number for each place that a row has had."""
+        """How many rows had been added when each was, shape (n,): another number for each situation of a row."""
         return self._born[: self._size]
 
-    def find(self, places: Ints) -> Ints:
-        """Return the row of each place, shape (N,); -1 for a place without one."""
-        if not len(self._places):
-            return np.full(len(places), -1)
-        at = np.minimum(np.searchsorted(self._places, places), len(self._places) - 1)
-        return np.where(self._places[at] == places, self._rows[at], -1)
+    def find(self, situations: Ints) -> Ints:
+        """Return the row of each situation, shape (N,); -1 for a situation without one."""
+        if not len(self._situations):
+            return np.full(len(situations), -1)
+        at = np.minimum(np.searchsorted(self._situations, situations), len(self._situations) - 1)
+        return np.where(self._situations[at] == situations, self._rows[at], -1)
 
-    def add(self, places: Ints) -> Ints:
-        """Give rows to different places without one, both of shape (N,); their entries are blank."""
-        count = len(places)
+    def add(self, situations: Ints) -> Ints:
+        """Give rows to different situations without one, both of shape (N,); their entries are blank."""
+        count = len(situations)
         again, more = self._free[:count], max(0, count - len(self._free))
         self._free = self._free[count:]
         rows = np.concatenate([again, np.arange(self._size, self._size + more)])
         self._reserve(self._size + more)
         self._size += more
-        self._place_of[rows] = places
+        self._situation_of[rows] = situations
         self._born[rows] = self._born.max(initial=0) + 1 + np.arange(count)
-        order = np.argsort(places)
-        at = np.searchsorted(self._places, places[order])
-        self._places = np.insert(self._places, at, places[order])
+        order = np.argsort(situations)
+        at = np.searchsorted(self._situations, situations[order])
+        self._situations = np.insert(self._situations, at, situations[order])
         self._rows = np.insert(self._rows, at, rows[order])
         self.version += 1
         return rows
@@ -129,7 +129,7 @@ class Rows:
         self.version += 1
 
     def hold(self, holder: object, rows: Ints) -> None:
-        """Let a holder hold these rows in the place of those that it held before."""
+        """Let a holder hold these rows in place of those that it held before."""
         self._held[holder] = rows
 
     def held(self, other_than: object = None) -> Ints:
@@ -137,11 +137,11 @@ class Rows:
         return np.unique(np.concatenate([NONE, *(own for one, own in self._held.items() if one is not other_than)]))
 
     def evict(self, keep: Ints) -> None:
-        """Take the rows of all places but those of `keep`, shape (N,); their entries become blank."""
+        """Take the rows of all situations but those of `keep`, shape (N,); their entries become blank."""
         gone = np.setdiff1d(self._rows, keep)
         stays = np.isin(self._rows, keep)
-        self._places, self._rows = self._places[stays], self._rows[stays]
-        self._place_of[gone] = -1
+        self._situations, self._rows = self._situations[stays], self._rows[stays]
+        self._situation_of[gone] = -1
         self.clear(self._blanks, gone)
         self._free = np.concatenate([self._free, gone])
 
@@ -152,7 +152,7 @@ class Rows:
         self._capacity = max(size, 64, 2 * self._capacity)
         for name, array in self._arrays.items():
             self._arrays[name] = _larger(array, (self._capacity, *array.shape[1:]), self._blanks[name])
-        self._place_of = _larger(self._place_of, (self._capacity,), -1)
+        self._situation_of = _larger(self._situation_of, (self._capacity,), -1)
         self._born = _larger(self._born, (self._capacity,), 0)
 
 

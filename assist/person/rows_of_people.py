@@ -52,26 +52,26 @@ class RowsOfPeople:
         self._grows = np.array([not policy.problem.whole for policy in policies])
         self._in_all = dict[Callable[..., Any], NDArray[Any]]()
 
-    def rows(self, places: Ints, active: Ints) -> Ints:
+    def rows(self, situations: Ints, active: Ints) -> Ints:
         """Return the row of each person, shape (N, K); of people who are not active, any row.
 
         Parameters
         ----------
-        places : int array, shape (N, K)
+        situations : int array, shape (N, K)
         active : int array
-            Active people, as indices of the flattened `places`.
+            Active people, as indices of the flattened `situations`.
         """
         if not self._grows.any():
-            return places
-        found, grows = places.reshape(-1).copy(), self._grows[self.model].reshape(-1)
+            return situations
+        found, grows = situations.reshape(-1).copy(), self._grows[self.model].reshape(-1)
         found[grows] = 0
         for number, flat in by_model(self.model.reshape(-1), active[grows[active]], len(self.policies)):
-            found[flat] = self.policies[number].rows(places.reshape(-1)[flat], self)
-        return found.reshape(places.shape)
+            found[flat] = self.policies[number].rows(situations.reshape(-1)[flat], self)
+        return found.reshape(situations.shape)
 
-    def numbered(self, places: Ints) -> Ints:
-        """Return a number below `Extent.states` for each person's place, shape (N, K)."""
-        found = places.copy()
+    def numbered(self, situations: Ints) -> Ints:
+        """Return a number below `Extent.states` for each person's situation, shape (N, K)."""
+        found = situations.copy()
         if self._grows.any():
             for number, flat in by_model(self.model.reshape(-1), np.arange(found.size), len(self.policies)):
                 found.reshape(-1)[flat] = self.policies[number].problem.states(found.reshape(-1)[flat])

@@ -141,17 +141,17 @@ class SparseBackup:
         base = (np.arange(types)[:, None] * n + target)[:, :, None] * thetas
         quiet, moving = np.flatnonzero(~moves[pair]), np.flatnonzero(moves[pair])
         of, own = pair[moving], slot[moving] == suggested[pair[moving]]
-        place = begin[:, pair[quiet]] + slot[quiet, None]
-        data[place], column[place] = chosen[:, quiet], base[:, quiet] + np.arange(thetas)
+        entry = begin[:, pair[quiet]] + slot[quiet, None]
+        data[entry], column[entry] = chosen[:, quiet], base[:, quiet] + np.arange(thetas)
         low, up = (part[x[of], r[of]].swapaxes(0, 1)[m.goal_of] for part in (m.low, m.weight))
         if m.uses_answer:
             mine = x[of[own]], r[of[own]]
             low[:, own], up[:, own] = (
                 part[mine].swapaxes(0, 1)[m.goal_of] for part in (m.followed_low, m.followed_weight)
             )
-        place, chosen, base = begin[:, of] + 2 * slot[moving, None], chosen[:, moving], base[:, moving]
-        data[place], column[place] = chosen * (1.0 - up), base + low
-        data[place + 1], column[place + 1] = chosen * up, base + np.minimum(low + 1, thetas - 1)
+        entry, chosen, base = begin[:, of] + 2 * slot[moving, None], chosen[:, moving], base[:, moving]
+        data[entry], column[entry] = chosen * (1.0 - up), base + low
+        data[entry + 1], column[entry + 1] = chosen * up, base + np.minimum(low + 1, thetas - 1)
         h, pair = np.nonzero(over)
         rows = np.append(begin.ravel(), types * size)
         matrix = csr_array((data, column, rows), shape=(reward.size, types * n * thetas))

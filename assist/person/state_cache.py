@@ -47,7 +47,7 @@ class Part(NamedTuple):
 class StateCache:
     """The known data of all states that were looked at. All methods are thread-safe.
 
-    A state has a *number* in the task, and a *place* here, in the order in which states were first seen.
+    A state has a *number* in the task, and an *index* here, in the order in which states were first seen.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class StateCache:
 
     def __init__(self, known: CostToGo | Goals) -> None:
         self.known, self._first_goal = known, first_of(known)
-        self._place: dict[int, int] = {}
+        self._index: dict[int, int] = {}
         self._states = _Rows(np.int64)
         goals = len(each_of(known))
         self.h, self.goal = _Rows(np.float64, goals), _Rows(np.bool_, goals)
@@ -84,44 +84,44 @@ class StateCache:
             after = self.expand(np.unique(np.concatenate(advised)))
             expanded = np.concatenate([here, after])
             rest = np.setdiff1d(self._targets[self._at(expanded)[1]], after)
-            places = np.concatenate([expanded, rest])
-            return self._part(places, np.arange(len(places)) < len(expanded), len(here))
+            index = np.concatenate([expanded, rest])
+            return self._part(index, np.arange(len(index)) < len(expanded), len(here))
 
     def every(self) -> Part:
-        """Return all states in the order of their places."""
-        places = np.arange(len(self))
-        return self._part(places, self.is_expanded(places))
+        """Return all states in the order of their indices."""
+        index = np.arange(len(self))
+        return self._part(index, self.is_expanded(index))
 
     def add(self, states: Ints) -> Ints:
-        """Return the places of states, shape (N,); states that were not seen before are added."""
+        """Return the indices of states, shape (N,); states that were not seen before are added."""
         wanted, again = np.unique(states, return_inverse=True)
         with self._lock:
-            if any(number not in self._place for number in wanted.tolist()):
+            if any(number not in self._index for number in wanted.tolist()):
                 each = dict.fromkeys(np.asarray(states).tolist())
-                new = np.array([number for number in each if number not in self._place], dtype=np.int64)
+                new = np.array([number for number in each if number not in self._index], dtype=np.int64)
                 h = costs_to_go(self.known, new)  # a query may fail; nothing has been stored yet
-                self._place |= zip(new.tolist(), range(len(self), len(self) + len(new)), strict=True)
+                self._index |= zip(new.tolist(), range(len(self), len(self) + len(new)), strict=True)
                 self._states.add(new)
                 self.h.add(h)
                 self.goal.add(goals_reached(self.known, new))
                 self._key.add(keys_of(self._first_goal, new))
                 self._first.add(np.zeros(len(new), dtype=np.int64))
                 self._count.add(np.full(len(new), -1))
-            places = np.array([self._place[number] for number in wanted.tolist()], dtype=np.int64)
-        return places[again.reshape(-1)]
+            index = np.array([self._index[number] for number in wanted.tolist()], dtype=np.int64)
+        return index[again.reshape(-1)]
 
-    def states(self, places: Ints) -> Ints:
+    def states(self, index: Ints) -> Ints:
         """Return the numbers of states in the task, shape (N,)."""
-        return self._states[places]
+        return self._states[index]
 
-    def is_expanded(self, places: Ints) -> Bools:
+    def is_expanded(self, index: Ints) -> Bools:
         """Return whether the choices in states are known, shape (N,)."""
-        return np.asarray(self._count[places] >= 0)
+        return np.asarray(self._count[index] >= 0)
 
-    def expand(self, places: Ints) -> Ints:
-        """Find the choices in those states in which they are not known yet, in this order, and return the places."""
+    def expand(self, index: Ints) -> Ints:
+        """Find the choices in those states in which they are not known yet, in this order, and return the indices."""
         with self._lock:
-            unknown = places[self._count[places] < 0]
+            unknown = index[self._count[index] < 0]
             if len(unknown):
                 unknown = np.array(list(dict.fromkeys(unknown.tolist())))
                 states = self._states[unknown]
@@ -135,9 +135,9 @@ class StateCache:
                 self._actions.add(found.actions)
                 self._targets.add(to)
                 self._optimal.add(optimal)
-        return places
+        return index
 
-    def choices(self, places: Ints, among: Bools | bool = True) -> tuple[Ints, Ints, NDArray[np.int32], Bools]:
+    def choices(self, index: Ints, among: Bools | bool = True) -> tuple[Ints, Ints, NDArray[np.int32], Bools]:
         """Return the m choices in some states, shape (N,), of those `among` them that are looked at: all by default.
 
         Returns
@@ -145,32 +145,32 @@ class StateCache:
         offsets : int array, shape (N + 1,)
             Where the choices in each state begin.
         targets, actions : int arrays, shape (m,)
-            Places of the successors, and ground actions.
+            Indices of the successors, and ground actions.
         optimal : bool array, shape (m, G)
         """
-        offsets, at = self._at(places, among)
+        offsets, at = self._at(index, among)
         return offsets, self._targets[at], self._actions[at], self._optimal[at]
 
-    def _at(self, places: Ints, among: Bools | bool = True) -> tuple[Ints, Ints]:
+    def _at(self, index: Ints, among: Bools | bool = True) -> tuple[Ints, Ints]:
         """Return where the choices in each state begin, as `choices` does, and where they are in the lists."""
-        counts = self._count[places] if among is True else np.where(among, self._count[places], 0)
+        counts = self._count[index] if among is True else np.where(among, self._count[index], 0)
         offsets = np.concatenate([[0], np.cumsum(counts)])
-        return offsets, np.arange(offsets[-1]) + np.repeat(self._first[places] - offsets[:-1], counts)
+        return offsets, np.arange(offsets[-1]) + np.repeat(self._first[index] - offsets[:-1], counts)
 
-    def _part(self, places: Ints, expanded: Bools, copies: int = 0) -> Part:
-        """Return the states of some places; choices are in those that are `expanded`, and lead to none of the first."""
-        offsets, targets, actions, optimal = self.choices(places, expanded)
-        order = np.argsort(places[copies:])
-        to = copies + order[np.searchsorted(places[copies:], targets, sorter=order)]
-        rows, goal, h = Transitions(offsets, actions, to), self.goal[places], self.h[places]
+    def _part(self, index: Ints, expanded: Bools, copies: int = 0) -> Part:
+        """Return states by their indices; choices are in those that are `expanded`, and lead to none of the first."""
+        offsets, targets, actions, optimal = self.choices(index, expanded)
+        order = np.argsort(index[copies:])
+        to = copies + order[np.searchsorted(index[copies:], targets, sorter=order)]
+        rows, goal, h = Transitions(offsets, actions, to), self.goal[index], self.h[index]
         each = [
             Choices(
                 h[:, number], reached, *padded(self._first_goal, rows, best, expanded & ~reached),
-                self._first_goal.task.actions, key=self._key[places],
+                self._first_goal.task.actions, key=self._key[index],
             )
             for number, (reached, best) in enumerate(zip(goal.T, optimal.T, strict=True))
         ]  # fmt: skip
-        return Part(each, self._states[places], np.flatnonzero(~expanded), rows)
+        return Part(each, self._states[index], np.flatnonzero(~expanded), rows)
 
 
 class _Rows:

@@ -22,19 +22,19 @@ def frontier_of(alone: AssistPOMDP, layout: TimeExpansion, price: Floats, entry:
     """
     if alone.frontier is None:
         return None
-    place = np.full(layout.states, -1)
-    place[alone.frontier.states] = np.arange(len(alone.frontier.states))
+    index = np.full(layout.states, -1)
+    index[alone.frontier.states] = np.arange(len(alone.frontier.states))
     if alone.frontier.away is not None:
-        ends = place[layout.x] >= 0
+        ends = index[layout.x] >= 0
         states = np.flatnonzero(ends | (layout.cut & ~alone.model.choices.goal[layout.x]))
         known = np.stack([alone.frontier.away, alone.frontier.upper])
         upper = np.zeros((len(states), *known.shape[2:]))  # 0 is an upper bound, as costs are positive
         at = states[ends[states]]
-        upper[ends[states]] = known[np.minimum(layout.position[at], HERE), place[layout.x[at]]]
+        upper[ends[states]] = known[np.minimum(layout.position[at], HERE), index[layout.x[at]]]
         return LeafBounds(states, upper, upper)
     assert layout.kept is None
-    states = np.flatnonzero(place[layout.x] >= 0)
-    at = place[layout.x[states]]
+    states = np.flatnonzero(index[layout.x] >= 0)
+    at = index[layout.x[states]]
     position = layout.position[states]
     upper = alone.frontier.upper[at]
     paid = np.append(np.cumsum((price * alone.gamma ** np.arange(len(price)))[::-1])[::-1], 0.0)

@@ -144,13 +144,13 @@ class OuterRelaxation:
         The person's problem on it, with a robot that comes and goes.
     value : float array, shape (m, H, T)
         Upper bound on the value in each of its states, in cost units.
-    place : int array, shape (n,)
+    index : int array, shape (n,)
         Index of each state of the inner truncated task in the outer one; -1 if it is not contained.
     """
 
     visits: AttentionSubproblem
     value: Floats
-    place: Ints
+    index: Ints
 
     @property
     def nbytes(self) -> int:
@@ -181,7 +181,7 @@ class OuterRelaxation:
         states = frontier.states
         upper = np.minimum(frontier.upper, free[layout.position[states] * layout.states + layout.x[states]])
         position = np.minimum(layout.position[states], HERE)
-        own = self.visits.layout.number(0, position, self.place[layout.x[states]])
+        own = self.visits.layout.number(0, position, self.index[layout.x[states]])
         for step, most in self.priced(visits.price):
             at = np.flatnonzero(layout.step[states] == step)
             upper[at] = np.minimum(upper[at], most[own[at]])
@@ -234,7 +234,7 @@ def bounded(
     visits, value = _values(around_it, person.complying(around, around_it.hidden.expertise), entry, limits)
     found = OuterRelaxation(visits, value, around.local(inner.states))
     problem = person.within(inner, problem, found)
-    if outer != "kept" or (found.place < 0).any():
+    if outer != "kept" or (found.index < 0).any():
         return TruncatedProblem(problem)
     # Half of the memory is for the pairs, at two positions of the robot each. A pair needs about 3.3 stored states,
     # since its successors on the frontier are stored as well.
@@ -287,12 +287,12 @@ class _Person:
     ) -> OuterRelaxation:
         """Return the outer relaxation on a smaller task, on which prices are optimised."""
         middle = self.task(min(SIZES.price_states, len(outer.states) - len(outer.frontier)))
-        place = outer.local(middle.states)
-        if (place < 0).any():  # the time limit ended the expansion of the outer task
+        index = outer.local(middle.states)
+        if (index < 0).any():  # the time limit ended the expansion of the outer task
             return found
-        problem = self.within(middle, self.seen(middle), replace(found, place=place))
+        problem = self.within(middle, self.seen(middle), replace(found, index=index))
         own = AttentionSubproblem.of(problem, entry)
-        at = found.visits.layout.number(0, own.layout.position, place[own.layout.x])
+        at = found.visits.layout.number(0, own.layout.position, index[own.layout.x])
         return OuterRelaxation(own, np.ascontiguousarray(found.value[at]), middle.local(inner.states))
 
     def seen(self, region: TruncatedTask) -> AssistPOMDP:
@@ -303,13 +303,13 @@ class _Person:
     def within(self, region: TruncatedTask, problem: AssistPOMDP, outer: OuterRelaxation | None) -> AssistPOMDP:
         """Return the problem of a truncated task with the best known bounds at its frontier.
 
-        `outer.place` refers to the states of this truncated task.
+        `outer.index` refers to the states of this truncated task.
         """
         assert problem.frontier is not None
         # The same bound holds for both positions of the robot, away and here.
         here = np.repeat(initial_upper_bounds(problem)[region.frontier][:, None], 2, axis=1)
         if outer is not None:
-            at = outer.place[region.frontier]
+            at = outer.index[region.frontier]
             away, there = (outer.value[outer.visits.states(0, position)] for position in (AWAY, HERE))
             # Being here is never worse, since leaving is free.
             found = np.stack([np.minimum(away, there), there], axis=1)

@@ -157,14 +157,14 @@ class TruncatedPolicy(Policy):
 
     def _in_rows(self, each: tuple[LeafEstimates, ...], x: Ints) -> Floats:
         pomdp = self.pomdp
-        return _values(each, self.places(x), pomdp.model.choices.goals.of_rows(x), pomdp.hidden)[:, 0]
+        return _values(each, self.situations(x), pomdp.model.choices.goals.of_rows(x), pomdp.hidden)[:, 0]
 
     def q_values(self, x: Ints, belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
         if self.solver is None:
             return self.problem.q_values("", self._backup, 0, x, belief)
         region, policy = self._own
-        at, q = region.local(self.places(x)), np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
+        at, q = region.local(self.situations(x)), np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
         known = (at >= 0) & ~np.isin(at, region.frontier)
         inside, outside = np.flatnonzero(known), np.flatnonzero(~known)
         if len(inside):

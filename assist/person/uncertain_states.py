@@ -99,7 +99,7 @@ class UncertainStates(KnownStates):
             self._put(k, glimpse.after(self.joint(k, model.policy), words, model.policy), model.policy)
 
     def _put(self, person: int, joint: JointBelief, policy: Policy) -> None:
-        """Set the belief in a person over places and types."""
+        """Set the belief in a person over situations and types."""
         self.joints[person], self.x[person] = joint, joint.rows(policy)[joint.probability.argmax()]
         self.belief[person], self.erred[person] = joint.belief, joint.erred > 1 / 2
 
@@ -134,7 +134,7 @@ class UncertainStates(KnownStates):
         return there
 
     def joint(self, person: int, policy: Policy) -> JointBelief:
-        """Return the belief in a person over places and types, as in `Beliefs`."""
+        """Return the belief in a person over situations and types, as in `Beliefs`."""
         return self.joints.get(person) or super().joint(person, policy)
 
     def of(self, people: Ints) -> Self:

@@ -50,10 +50,10 @@ def check(team: TeamState, action: TeamAction) -> None:
     crowded = np.flatnonzero((after != BASE).sum(axis=1) > 1)
     ordered = np.sort(after[crowded], axis=1)
     for row, one in zip(*np.nonzero((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != BASE)), strict=True):
-        n, place = crowded[row], ordered[row, one]
-        there = after[n] == place
+        n, person = crowded[row], ordered[row, one]
+        there = after[n] == person
         # Robots may be with one person already, if somebody else has moved them.
-        if (team.location[n, there] != place).any() or (action.person[n, there] != NOBODY).sum() > 1:
+        if (team.location[n, there] != person).any() or (action.person[n, there] != NOBODY).sum() > 1:
             raise refused("lets two robots be with one person, or on their way there")
     for model, those in by_model(team.model[teams, to], np.flatnonzero(said != 0), len(team.policies)):
         pomdp, x = team.policies[model].pomdp, team.x[teams[those], to[those]]

@@ -30,8 +30,8 @@ class Beginning(NamedTuple):
     goal : int array
         Number of the goal.
     beta, theta : float arrays
-    place : int array
-        Where the person is, as in `person.rows`.
+    situation : int array
+        Where the person is in the task, as in `person.rows`.
     finished : bool array
     """
 
@@ -40,7 +40,7 @@ class Beginning(NamedTuple):
     goal: Ints
     beta: Floats
     theta: Floats
-    place: Ints
+    situation: Ints
     finished: NDArray[np.bool_]
 
 
@@ -63,7 +63,7 @@ class Beginnings:
         self._initial = np.array([policy.problem.task.initial for policy in pool.policies])
         self._goals = [pomdp.hidden.goals for pomdp in self._pomdps]
         order = np.argsort(pool.model, kind="stable")
-        among = np.empty_like(order)  # the place of each person among those of their model
+        among = np.empty_like(order)  # the number of each person among those of their model
         among[order] = np.arange(len(order)) - np.searchsorted(pool.model[order], pool.model[order])
         self._first = among * len(pool.hidden.goals)
 

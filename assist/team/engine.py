@@ -126,9 +126,9 @@ class Engine:
         acted_on: Callable[[Beliefs], Beliefs] | None = None,
     ) -> None:  # fmt: skip
         self.tasks, self.people, self.robots, self.beliefs, self._acted_on = tasks, people, robots, beliefs, acted_on
-        self.clock, self.over = np.zeros(len(people.place), dtype=np.int64), np.zeros(len(people.place), dtype=bool)
+        self.clock, self.over = np.zeros(len(people.number), dtype=np.int64), np.zeros(len(people.number), dtype=bool)
         self._now: Now | None = None
-        self._charged = np.zeros(people.place.shape)
+        self._charged = np.zeros(people.situation.shape)
 
     @property
     def now(self) -> Now:
@@ -141,7 +141,7 @@ class Engine:
             to_come = ~them.finished & (clock < them.presence.leaves) & ~self.over[:, None]
             active = to_come & (clock >= them.presence.joins)
             flat = np.flatnonzero(active)
-            them.row[:] = self.tasks.rows(them.place, flat)
+            them.row[:] = self.tasks.rows(them.situation, flat)
             by_policy = by_model(self.tasks.model.reshape(-1), flat, len(self.tasks.policies))
             self._now = Now(np.flatnonzero(to_come.any(axis=1)), active, by_policy)
         return self._now
@@ -164,7 +164,7 @@ class Engine:
 
     def state(self, teams: Ints | None = None) -> TeamState:
         """Return what the robots know of some teams, given by their numbers, or of all: what policies act on."""
-        now, (N, K), known = self.now, self.people.place.shape, self.beliefs
+        now, (N, K), known = self.now, self.people.situation.shape, self.beliefs
         every = slice(None) if teams is None or len(teams) == N else teams
         if every is teams:
             known = known.of((teams[:, None] * K + np.arange(K)).reshape(-1))
@@ -214,13 +214,13 @@ class Engine:
         for column, kind in enumerate((Kind.CHOICE, Kind.THETA) if them.on_grid else (Kind.CHOICE,)):
             uniform[now.running, :, column] = them.draws.draw(kind, now.running)
         arrays = PeopleArrays.of_teams(them.row, heard, self.tasks.who, them.theta, them.outcomes, uniform)
-        place, finished = them.place.reshape(-1), them.finished.reshape(-1)
+        situation, finished = them.situation.reshape(-1), them.finished.reshape(-1)
         for number, flat in now.by_policy:
             group = groups[number]
             # It moves `arrays.x`, that is `them.row`, and with it `beliefs.x` where states are known.
             group.act(flat, arrays)
             finished[flat] = group.ended(flat, arrays)
-            place[flat] = policies[number].places(arrays.x[flat])
+            situation[flat] = policies[number].situations(arrays.x[flat])
         acts = Acts(before.reshape(-1), arrays.heard, arrays.slot, ~finished)
         models = [(groups[number].model, flat) for number, flat in now.by_policy]
         self.beliefs.observe(acts, said.reshape(-1), models, self._uniform)
@@ -239,7 +239,7 @@ class Engine:
         after this step's questions. No two robots go to one person, which `action_check` makes sure of.
         """
         policies, groups, fleet = self.tasks.policies, self.tasks.groups, self.robots.fleet
-        said, executes = np.zeros_like(self.people.place), np.zeros(len(sent.team), dtype=bool)
+        said, executes = np.zeros_like(self.people.situation), np.zeros(len(sent.team), dtype=bool)
         if fleet.extra[:, NOTHING_DONE].any() or not all(
             policies[n].pomdp.waits_for_free for n, _ in self.now.by_policy
         ):
@@ -259,7 +259,7 @@ class Engine:
 
     def _charge_waiting(self, sent: Sent) -> None:
         """Charge for the robots that are with a person at work and do nothing, after these were sent."""
-        robots, tasks, x = self.robots, self.tasks, self.beliefs.x.reshape(self.people.place.shape)
+        robots, tasks, x = self.robots, self.tasks, self.beliefs.x.reshape(self.people.situation.shape)
         waits = robots.free(self.clock) & (robots.location != BASE)
         busy = sent.action > 0
         waits[sent.team[busy], sent.robot[busy]] = False
@@ -273,6 +273,6 @@ class Engine:
 
     def _uniform(self, kind: int) -> Floats:
         """Return uniform numbers of a kind for all people, 0 in teams that do not run any more."""
-        uniform = np.zeros(self.people.place.shape)
+        uniform = np.zeros(self.people.situation.shape)
         uniform[self.now.running] = self.people.draws.draw(kind, self.now.running)
         return uniform.reshape(-1)

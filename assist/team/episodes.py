@@ -86,7 +86,7 @@ class Episodes(Result):
     policy : str
     episode : int array, shape (N,)
     people : int array, shape (N, K)
-        Places in the pool, from 0.
+        Numbers in the pool, from 0.
     names : tuple of str
         What each person of the pool is called.
     beta, theta, sigma : float arrays, shape (N, K)

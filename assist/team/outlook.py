@@ -94,7 +94,7 @@ def _effects(
 
     People are given as indices of the flattened arrays. What is the same for a person is computed once.
     """
-    who, event, place = each_once(who, gain, followed, sees)
+    who, event, inverse = each_once(who, gain, followed, sees)
     effect, model = np.zeros(len(who)), team.model.reshape(-1)[who]
     for group in np.unique(model).tolist():
         policy, mine = team.policies[group], np.flatnonzero(model == group)
@@ -102,7 +102,7 @@ def _effects(
             told, (x, belief) = event.of(part), team.known_of(who[part])
             after = team.beliefs.neighbours.after(belief, policy.pomdp.grid, told)
             effect[part] = value(policy, x, after) - value(policy, x, belief)
-    return effect[place]
+    return effect[inverse]
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,8 @@ class PeopleAtWork:
     draws : Draws
     on_grid : bool
         Whether they are people of the robot's model, whose theta moves between grid points at random.
-    place, row : int arrays, shape (N, K)
-        Where each person is, and the row of this place in the present step (`person.rows`).
+    situation, row : int arrays, shape (N, K)
+        Where each person is in the task, and the row of this situation in the present step (`person.rows`).
     goal : int array, shape (N, K)
         Number of the goal that each person pursues.
     theta : float array, shape (N, K)
@@ -48,7 +48,7 @@ class PeopleAtWork:
     number: Ints
     draws: Draws
     on_grid: bool
-    place: Ints
+    situation: Ints
     row: Ints
     goal: Ints
     theta: Floats

@@ -159,7 +159,7 @@ class UserPolicy:
         return bool(getattr(self.function, "uses_belief", True))
 
     @property
-    def place(self) -> str:
+    def source(self) -> str:
         """File and line at which the function begins."""
         code = getattr(self.function, "__code__", None)
         return f"{self.file}:{code.co_firstlineno}" if code else f"{self.file}:{self.name}"

@@ -98,11 +98,11 @@ class Pool(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What people are called; those without a name are human-1, human-2, ... by their place in the pool."""
+        """What people are called; those without a name are human-1, human-2, ... in the order of the pool."""
         return tuple(one.name or f"human-{number}" for number, one in enumerate(self.people, 1))
 
     def numbers(self, team: ArrayLike) -> NDArray[np.int64]:
-        """Return the places in the pool, from 0, of people given by name or by place, in an array of any shape.
+        """Return the numbers in the pool, from 0, of people given by name or by number, in an array of any shape.
 
         Raises
         ------

@@ -161,14 +161,14 @@ class Rollout:
         order = ranked(-flat)[:, : self.options.alternatives]
         simulated = np.take_along_axis(flat, order, axis=1) <= self.near
         each, above_all = np.arange(N), 1 + 2 * np.abs(going[np.isfinite(going)]).sum()  # to send a robot to a person
-        for place, (omits, k) in enumerate(zip(*np.divmod(order.T, K), strict=True)):
+        for column, (omits, k) in enumerate(zip(*np.divmod(order.T, K), strict=True)):
             wanted, held = going.copy(), holding.copy()
             wanted[each, :, k] = np.where(omits[:, None] == 1, -np.inf, wanted[each, :, k] + above_all)
             held[(omits == 1)[:, None] & (team.location == k[:, None])] = 0.0
             actions.append(to_the_best(team, action, wanted, held))
             for other in actions[:-1]:
                 same = [getattr(other, one) == getattr(actions[-1], one) for one in _ACTION]
-                simulated[:, place] &= ~np.concatenate(same, axis=1).all(axis=1)
+                simulated[:, column] &= ~np.concatenate(same, axis=1).all(axis=1)
         return actions, simulated
 
     def _best(self, team: TeamState, teams: Ints, actions: list[TeamAction], simulated: Bools) -> Ints:
@@ -255,11 +255,11 @@ class _Paths:
         mind, cell = np.divmod(cells, len(grid.theta))
 
         state, active, model = team.x[own], team.active[own], team.model[own]
-        place = np.zeros_like(state)
+        situation = np.zeros_like(state)
         for group, flat in by_model(model.reshape(-1), np.flatnonzero(active), len(team.policies)):
-            place.reshape(-1)[flat] = team.policies[group].places(state.reshape(-1)[flat])
+            situation.reshape(-1)[flat] = team.policies[group].situations(state.reshape(-1)[flat])
         them = PeopleAtWork(
-            number=mind, draws=PathNumbers(rng, self.pairs, (samples, people)), on_grid=True, place=place,
+            number=mind, draws=PathNumbers(rng, self.pairs, (samples, people)), on_grid=True, situation=situation,
             row=state.copy(), goal=np.zeros_like(state), theta=grid.theta[cell], outcomes=grid.count[cell],
             finished=~active, presence=Schedule.of(people),
         )  # fmt: skip
@@ -319,7 +319,7 @@ class _Paths:
     def _positions(self, clock: Ints) -> Ints:
         """Return the robot's position for each person, as in their problem with a robot that comes and goes."""
         location, left = self.engine.robots.location, self.engine.robots.left(clock)
-        position = np.full(self.engine.people.place.shape, AWAY)
+        position = np.full(self.engine.people.situation.shape, AWAY)
         somewhere = np.nonzero(location != BASE)
         position[somewhere[0], location[somewhere]] = HERE + left[somewhere]
         return position

@@ -141,12 +141,12 @@ class Simulation:
         beliefs : bool
             Whether the robot keeps beliefs.
         """
-        pool, wanted, place = self.pool, self.wanted, began.place.copy()
+        pool, wanted, situation = self.pool, self.wanted, began.situation.copy()
         tasks = TeamTasks(pool.policies, self.groups, began.model, began.who)
-        row = np.ascontiguousarray(tasks.rows(place, np.arange(place.size)))
+        row = np.ascontiguousarray(tasks.rows(situation, np.arange(situation.size)))
         them = PeopleAtWork(
-            number=people, draws=draws, on_grid=wanted.world == "model", place=place, row=row, goal=began.goal,
-            theta=began.theta, outcomes=np.zeros_like(place), finished=began.finished, presence=wanted.presence,
+            number=people, draws=draws, on_grid=wanted.world == "model", situation=situation, row=row, goal=began.goal,
+            theta=began.theta, outcomes=np.zeros_like(situation), finished=began.finished, presence=wanted.presence,
         )  # fmt: skip
         hidden, knowledge = pool.hidden, wanted.goals
         prior: Floats | None = None
@@ -164,7 +164,7 @@ class Simulation:
         try:
             check(team, action)
         except UserCodeError as error:
-            raise UserCodeError(f"{getattr(self.policy, 'place', self.wanted.name)}: {error}") from None
+            raise UserCodeError(f"{getattr(self.policy, 'source', self.wanted.name)}: {error}") from None
         if tracer is not None:
             tracer.decided(engine, team, action, teams)
         return action

@@ -65,5 +65,5 @@ def let_see(
 def gained(policy: Policy, before: Ints, after: Ints) -> Floats:
     """Return what came of steps from some rows to others, both of shape (m,), in cost units, as neighbours see it."""
     # Rows to which a choice has just led may have no choices yet.
-    before, after = (policy.rows(policy.places(x)) for x in (before, after))
+    before, after = (policy.rows(policy.situations(x)) for x in (before, after))
     return seen_gain(policy.pomdp.model, before, after)

@@ -64,7 +64,7 @@ def simulate(
         A team policy, or the name of one (`assist.team.policies.POLICIES`).
     humans : int, or array of names or int, shape (K,) or (N, K)
         Number of people per team, drawn from the pool without replacement. Or the person at each place, in all episodes
-        or in each, by name (`Pool.names`) or by place in the pool from 0. Who is at two places is two people alike.
+        or in each, by name (`Pool.names`) or by number in the pool from 0. Who is at two places is two people alike.
     episodes : int or sequence of int
         Number of episodes, or their numbers.
     seed : int or Generator

@@ -72,7 +72,7 @@ class Tracer:
             choices, x, r = pomdp.model.choices, int(taken.before[e, k]), int(taken.heard[e, k])
             goal, slot, step = int(people.goal[e, k]), int(taken.slot[e, k]), int(taken.clock[e])
             suggested = int(pomdp.suggested[x, r])
-            place = int(pomdp.afterstate[x, r])
+            acting = int(pomdp.afterstate[x, r])
             there = [
                 where if where != BASE and until <= step else None
                 for where, until in zip(location[e].tolist(), busy_until[e].tolist(), strict=True)
@@ -81,13 +81,13 @@ class Tracer:
                 "person": self.names[people.number[e, k]],
                 "episode": f"{self.name}-{self.numbers[e]}",
                 "step": step,
-                "action": choices.name(place, slot) if slot >= 0 else None,
+                "action": choices.name(acting, slot) if slot >= 0 else None,
                 "suggestion": choices.name(x, suggested) if suggested != NOTHING else None,
                 **({"executed": pomdp.executes(x, r)} if executes else {}),
                 "policy": self.name,
                 "place": k,
                 "robot_places": there,
-                "cost": float(choices.costs[place, slot]) if slot >= 0 else 0.0,
+                "cost": float(choices.costs[acting, slot]) if slot >= 0 else 0.0,
                 "cost_to_go": finite(choices.goals.h[goal, x]),
                 "cost_to_go_after": finite(choices.goals.h[goal, people.row[e, k]]),
                 "theta": float(taken.theta[e, k]),

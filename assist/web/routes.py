@@ -73,7 +73,7 @@ async def drawing(
 
     def drawn() -> View:
         seen = json.loads(service.view(person))  # read before the state: `seq` is then never newer than the drawing
-        task, state = service.session.place(person)
+        task, state = service.session.task_and_state(person)
         return pictures.of(task, state, seen, width)
 
     return plain(await asyncio.to_thread(drawn))
@@ -100,7 +100,7 @@ async def explanation(
 
     def explained() -> View:
         seq = json.loads(service.view(person))["seq"]  # read before the state, as above
-        task, _ = service.session.place(person)
+        task, _ = service.session.task_and_state(person)
         found = service.explain(person, against)
         found = found.in_words(pictures.words(task, found.actions, spoken))
         if not named:  # a person learns about others what could be gained, not who they are

@@ -129,7 +129,7 @@ class SimulatedSeats:
         with session.lock:  # tasks solved on demand are not thread-safe
             seen = session.person(name)
             person.hear(session.history.news(name))
-            every, state = session.place(name)
+            every, state = session.task_and_state(name)
             task, asked = person.pursued(every), seen.get("question")
             if person.state is None or (person.reported and not seen["steps"]):  # at first, or after the task has begun
                 person.state, person.reported = state, None

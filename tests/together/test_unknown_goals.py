@@ -363,7 +363,7 @@ def test_a_session_keeps_goals(tmp_path: Path) -> None:
         assert set(entry["goals"]) == set(PRIOR)
         assert np.shape(entry["belief"]) == tuple(len(values) for values in entry["grid"].values())
         assert np.sum(entry["belief"]) == pytest.approx(1)
-        assert session.place("ann")[0] is three_goals("tiny")
+        assert session.task_and_state("ann")[0] is three_goals("tiny")
         session.close()
     assert seen[0] | {"history": None} == seen[1] | {"history": None}
     for change in ({"prior": {"a": 0.2, "b": 0.2, "c": 0.6}}, {"sharpness": 2.0}, {"assume_likeliest": True}):

@@ -43,15 +43,15 @@ class IndexPolicy:
     def __call__(self, step: int, states: Ints, /) -> Ints:
         """Return the actions of all agents, shape (runs, N)."""
         S = self.agents.shape[2]
-        place = states + self.agents.kind * S
+        column = states + self.agents.kind * S
         at = min(step, len(self.gain) - 1)
-        action = self.rest[at][place]
+        action = self.rest[at][column]
         gain = self.gain[at]
         use = self.agents.flat[1]
         units = np.unique(use[1:])
         if len(gain) == 2 and len(units) == 1 and units[0] > 0 and not use[0].any():
-            return _most(gain[1][place], action, int(self.resources / units[0] + 1e-9))
-        return _greedy(gain[:, place], use[:, place], action, self.agents.room(self.resources))
+            return _most(gain[1][column], action, int(self.resources / units[0] + 1e-9))
+        return _greedy(gain[:, column], use[:, column], action, self.agents.room(self.resources))
 
 
 def _most(gain: Floats, action: Ints, count: int) -> Ints:

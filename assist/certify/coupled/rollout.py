@@ -95,7 +95,7 @@ class RolloutPolicy:
         """Return the actions of all agents, shape (runs, N)."""
         agents, options = self.base.agents, self.options
         joint, at = np.unique(states, axis=0, return_inverse=True)
-        place = joint + agents.kind * agents.shape[2]
+        column = joint + agents.kind * agents.shape[2]
         keys = [zlib.crc32(row.tobytes(), options.seed) + (step << 32) for row in joint]
         P = agents.P
         arrays = PolicyArrays(
@@ -103,7 +103,7 @@ class RolloutPolicy:
             P.indptr.astype(np.int64), P.indices.astype(np.int64), P.data, agents.gamma,
         )  # fmt: skip
         effort = options.samples, options.horizon, options.alternatives, float(options.errors)
-        found = improved(place, np.array(keys, dtype=np.uint64), step, arrays, effort)
+        found = improved(column, np.array(keys, dtype=np.uint64), step, arrays, effort)
         return found[at.reshape(-1)]
 
 
@@ -137,28 +137,30 @@ class PolicyArrays(NamedTuple):
 
 
 @njit()
-def serve(gain: Floats, use: Floats, rest: Ints, place: Ints, left: float, taken: NDArray[np.bool_], out: Ints) -> None:
+def serve(
+    gain: Floats, use: Floats, rest: Ints, column: Ints, left: float, taken: NDArray[np.bool_], out: Ints
+) -> None:
     """Assign the resource in descending order of gain per unit to agents that are not `taken`; write `out`, shape (N,).
 
     Agents that are taken keep their actions in `out`. Of equal gains, the first agent's first action is taken.
     """
-    A, N = len(gain), len(place)
+    A, N = len(gain), len(column)
     for k in range(N):
         if not taken[k]:
-            out[k] = rest[place[k]]
+            out[k] = rest[column[k]]
     open_ = ~taken
     while True:
         best, who, what = 0.0, -1, -1
         for k in range(N):
             if open_[k]:
                 for a in range(A):
-                    units = use[a, place[k]]
-                    if units > 0 and units <= left and gain[a, place[k]] > best * units:
-                        best, who, what = gain[a, place[k]] / units, k, a
+                    units = use[a, column[k]]
+                    if units > 0 and units <= left and gain[a, column[k]] > best * units:
+                        best, who, what = gain[a, column[k]] / units, k, a
         if who < 0:
             return
         out[who], open_[who] = what, False
-        left -= use[what, place[who]]
+        left -= use[what, column[who]]
 
 
 @njit()
@@ -172,19 +174,19 @@ def uniform(key: np.uint64, number: int) -> float:
 
 @njit()
 def propose(
-    gain: Floats, use: Floats, rest: Ints, place: Ints, resources: float, most: int
+    gain: Floats, use: Floats, rest: Ints, column: Ints, resources: float, most: int
 ) -> tuple[Ints, int]:  # fmt: skip
     """Return the base policy's actions and alternatives, shape (most + 1, N), and how many rows are used."""
-    A, N = len(gain), len(place)
+    A, N = len(gain), len(column)
     found, count = np.empty((most + 1, N), dtype=np.int64), 1
     none, taken = np.zeros(N, dtype=np.bool_), np.zeros(N, dtype=np.bool_)
-    serve(gain, use, rest, place, resources, none, found[0])
+    serve(gain, use, rest, column, resources, none, found[0])
     score = np.full(N * A, np.inf)
     for k in range(N):
         for a in range(A):
-            units = use[a, place[k]]
-            if 0 < units <= resources and gain[a, place[k]] > 0:
-                score[k * A + a] = -gain[a, place[k]] / units
+            units = use[a, column[k]]
+            if 0 < units <= resources and gain[a, column[k]] > 0:
+                score[k * A + a] = -gain[a, column[k]] / units
     for pair in np.argsort(score, kind="mergesort"):
         if count > most or score[pair] == np.inf:
             break
@@ -192,7 +194,7 @@ def propose(
         if found[0, k] != a:  # take this pair first
             taken[:] = False
             taken[k], found[count, k] = True, a
-            serve(gain, use, rest, place, resources - use[a, place[k]], taken, found[count])
+            serve(gain, use, rest, column, resources - use[a, column[k]], taken, found[count])
             count += _is_new(found, count)
     contested = count > 1
     for pair in np.argsort(-score, kind="mergesort"):
@@ -201,8 +203,8 @@ def propose(
             break
         if score[pair] < np.inf and found[0, k] == a:  # leave this pair out
             taken[:] = False
-            taken[k], found[count, k] = True, rest[place[k]]
-            serve(gain, use, rest, place, resources, taken, found[count])
+            taken[k], found[count, k] = True, rest[column[k]]
+            serve(gain, use, rest, column, resources, taken, found[count])
             count += _is_new(found, count)
     return found, count
 
@@ -218,13 +220,13 @@ def _is_new(found: Ints, count: int) -> bool:
 
 @njit()
 def improved(
-    places: Ints, keys: NDArray[np.uint64], step: int, arrays: PolicyArrays, effort: tuple[int, int, int, float]
+    columns: Ints, keys: NDArray[np.uint64], step: int, arrays: PolicyArrays, effort: tuple[int, int, int, float]
 ) -> Ints:  # fmt: skip
-    """Return the improved actions at joint states `places`, both of shape (U, N).
+    """Return the improved actions at joint states `columns`, both of shape (U, N).
 
     `effort` has the samples, horizon, alternatives and errors of `RolloutOptions`.
     """
-    U, N = places.shape
+    U, N = columns.shape
     gain, rest, use, advantage, n = arrays.gain, arrays.rest, arrays.use, arrays.advantage, arrays.advantage.shape[2]
     samples, horizon, alternatives, errors = effort
     out = np.empty((U, N), dtype=np.int64)
@@ -232,13 +234,13 @@ def improved(
     total = np.empty((alternatives + 1, samples))
     for u in range(U):
         at = min(step, len(gain) - 1)
-        options, count = propose(gain[at], use, rest[at], places[u], arrays.resources, alternatives)
+        options, count = propose(gain[at], use, rest[at], columns[u], arrays.resources, alternatives)
         out[u] = options[0]
         if count == 1:
             continue
         for c in range(count):
             for r in range(samples):
-                now[:], action[:] = places[u], options[c]
+                now[:], action[:] = columns[u], options[c]
                 discount, value = 1.0, 0.0
                 for h in range(horizon):
                     worth = advantage[min(step + h, len(advantage) - 1)]

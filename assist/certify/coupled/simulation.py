@@ -197,16 +197,16 @@ def _block(
         varied += control.at(0)[states + offset].sum(axis=1) - agents.weight @ control.at(0)
     most = agents.room(resources)
     step = 0
-    while step < last and not finished[place := states + offset].all():
+    while step < last and not finished[column := states + offset].all():
         action = np.asarray(act(step, states))
         if action.shape != states.shape or action.dtype.kind not in "iu":
             raise ValueError(f"policy: {action.dtype} array of shape {action.shape}; expected actions, {states.shape}")
-        if (action < 0).any() or (action >= len(reward)).any() or not may[action, place].all():
+        if (action < 0).any() or (action >= len(reward)).any() or not may[action, column].all():
             raise ValueError(f"policy: an action at step {step} is not allowed")
-        if (use[action, place].sum(axis=1) > most).any():
+        if (use[action, column].sum(axis=1) > most).any():
             raise ValueError(f"policy: the actions at step {step} use more than {resources:g} units")
-        row = action * n + place
-        total += discount * reward[action, place].sum(axis=1)
+        row = action * n + column
+        total += discount * reward[action, column].sum(axis=1)
         u = uniform(step + 1)
         which = (cumulative[row] <= u[:, :, None]).sum(axis=2)
         states = successor[row, which]

@@ -65,8 +65,8 @@ def whittle_index(agents: Agents) -> WhittleIndex:
         )
     P = np.zeros((2, K, S, S))
     whole = agents.P.tocoo()
-    place = whole.row // (K * S), whole.row // S % K, whole.row % S, whole.col % S
-    np.add.at(P, place, whole.data)
+    entry = whole.row // (K * S), whole.row // S % K, whole.row % S, whole.col % S
+    np.add.at(P, entry, whole.data)
     index, good = np.full((K, S), -np.inf), np.ones(K, dtype=bool)
     active = _at_a_low_price(agents, P, unit)
     price = np.full(K, -np.inf)

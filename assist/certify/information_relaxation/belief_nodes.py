@@ -217,7 +217,7 @@ class BeliefNodes:
 def _embedded(visits: AttentionSubproblem, solution: Solution, outer: OuterRelaxation) -> Solution:
     """Return the solution on a truncated task as one on the outer relaxation, where only corners are known."""
     inner = visits.layout
-    here = outer.visits.layout.number(0, inner.position, outer.place[inner.x])
+    here = outer.visits.layout.number(0, inner.position, outer.index[inner.x])
     inside = np.flatnonzero(~visits.pomdp.ends)
     corner = outer.value.copy()
     corner[here[inside]] = solution.corner[inside]  # the corners that `drop` refers to

@@ -241,9 +241,9 @@ class Cohort(Teams, History[StudyRecord]):
         """Codes of all participants, in order of arrival, without those whose records were erased."""
         return tuple(code for code, person in self.participants.items() if not person.erased)
 
-    def place(self, person: str) -> tuple[CostToGo, int]:
+    def task_and_state(self, person: str) -> tuple[CostToGo, int]:
         """Return a participant's task, and the number of its present state."""
-        return self.team_of(self.known(person)).place(person)
+        return self.team_of(self.known(person)).task_and_state(person)
 
     def person(self, person: str) -> ParticipantView:
         """Return a participant's view: the task, and the progress in the study."""

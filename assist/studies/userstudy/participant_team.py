@@ -142,7 +142,7 @@ class ParticipantTeam:
         mate.hear(self.team.news(name))
         if seen.finished:
             return None
-        task, state = self._tasks[seen.task], self.team.place(name)[1]
+        task, state = self._tasks[seen.task], self.team.task_and_state(name)[1]
         return mate.act(task, state, seen.applicable, seen.suggestion)
 
     def again(self, subs: Sequence[TeamRecord]) -> None:
@@ -167,9 +167,9 @@ class ParticipantTeam:
         """Return a participant's view of the task."""
         return self.team.person(person)
 
-    def place(self, person: str) -> tuple[CostToGo, int]:
+    def task_and_state(self, person: str) -> tuple[CostToGo, int]:
         """Return a participant's task, and the number of its present state."""
-        return self._tasks[self._task[person]], self.team.place(person)[1]
+        return self._tasks[self._task[person]], self.team.task_and_state(person)[1]
 
 
 def own_action(team: Sequence[TeamRecord], person: str) -> Acted:

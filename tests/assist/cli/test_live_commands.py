@@ -138,7 +138,7 @@ def test_people_choose_as_a_function_says(begun: Begun, own: Path, tmp_path: Pat
     # Random choices do not depend on beta, so that nothing is learned about it.
     beta = np.frombuffer(session.beliefs()["person-1"]).reshape(6, 10).sum(axis=1)
     assert beta == pytest.approx(np.full(6, 1 / 6))
-    task, state = session.place("simulated-1")
+    task, state = session.task_and_state("simulated-1")
     assert begun.plan.seats().people["simulated-1"].chances(task, state) == pytest.approx([0.5, 0.5])
     begun.end()
     own.write_text(OWN.replace("def moves", "def other").replace("def always", "def moves"))
@@ -222,7 +222,7 @@ def test_people_choose_as_a_function_says_in_a_large_task(begun: Begun, own: Pat
     options = (DOMAINS / "lockers" / "two-trays.pddl", "--humans", 1, "--simulate", 1, "--data", tmp_path / "data")
     chooses = ("--set", f"population.chooses={own}:moves")
     session = begun(*options, *chooses)
-    task, state = session.place("simulated-1")
+    task, state = session.task_and_state("simulated-1")
     chance = begun.plan.seats().people["simulated-1"].chances(task, state)
     assert chance == pytest.approx(np.full(len(chance), 1 / len(chance)))
     begun.end()

@@ -172,7 +172,7 @@ def worked(task: Table, file: Path, people: int, tasks: int) -> tuple[list[dict[
                 session.join(late)
                 left.append(late)
             name = left[rng.integers(len(left))]
-            view, (own, state) = session.person(name), session.place(name)
+            view, (own, state) = session.person(name), session.task_and_state(name)
             crew[name].hear(session.history.news(name))
             theta, action = crew[name].theta, crew[name].act(own, state, view["applicable"], view["suggestion"])
             thetas.append({"person": name, "order": session.history.count + 1, "theta": theta})

@@ -170,7 +170,7 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
     assert frontier is not None
     states = frontier.states
     assert 0 < found.problem.ends[inner.x[states]].sum() < len(states)  # some are only left out at their step
-    x = found.outer.place[inner.x[states]]
+    x = found.outer.index[inner.x[states]]
     np.testing.assert_array_equal(
         found.outer.visits.alone.model.choices.keys[x], visits.pomdp.model.choices.keys[states]
     )

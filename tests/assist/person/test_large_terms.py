@@ -66,7 +66,7 @@ def test_values_with_terms_are_those_of_the_whole_task(monkeypatch: pytest.Monke
             compared += 1
             slot = rng.randrange(slots)
             row = int(every.targets[row, slot])
-            place = int(part.places(part.pomdp.model.choices.targets[own, slot])[0])
+            place = int(part.situations(part.pomdp.model.choices.targets[own, slot])[0])
             assert part.problem.states(np.array([place])).tolist() == [every.task_state(row)]
     assert compared > 60
 

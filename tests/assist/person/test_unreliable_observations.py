@@ -115,7 +115,7 @@ def test_the_joint_belief_equals_the_enumeration_of_histories(data: st.DataObjec
     expected = by_enumeration(pomdp, steps)
     expected /= expected.sum()
     found = np.zeros_like(expected)
-    found[belief.places] = belief.joint.reshape(len(belief.places), *expected.shape[1:])
+    found[belief.situations] = belief.joint.reshape(len(belief.situations), *expected.shape[1:])
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
     assert belief.pruned == pytest.approx(0, abs=1e-12)
 
@@ -133,10 +133,10 @@ def test_improbable_states_are_left_out_and_their_probability_is_reported() -> N
             one.after(evidence, -1, policy, works=True, least=least) for one, least in ((few, 1e-3), (every, 0))
         )
         x = int(c.targets[x, slot])
-    assert len(few.places) < len(every.places)
+    assert len(few.situations) < len(every.situations)
     assert 0 < few.pruned < 0.05
-    likely = dict(zip(every.places.tolist(), every.probability, strict=True))
-    assert all(abs(likely[x] - p) < 0.05 for x, p in zip(few.places.tolist(), few.probability, strict=True))
+    likely = dict(zip(every.situations.tolist(), every.probability, strict=True))
+    assert all(abs(likely[x] - p) < 0.05 for x, p in zip(few.situations.tolist(), few.probability, strict=True))
 
 
 def test_who_may_have_finished_does_nothing_more() -> None:
@@ -144,10 +144,11 @@ def test_who_may_have_finished_does_nothing_more() -> None:
     c, policy = pomdp.model.choices, LazyPolicy(pomdp, qmdp)
     last = int(np.flatnonzero((c.h == 1) & c.applicable.any(axis=1))[0])
     belief = JointBelief.at(last, pomdp.prior).after(Evidence.none(c), -1, policy)
-    finished = belief.places[c.goal[belief.places]]
+    finished = belief.situations[c.goal[belief.situations]]
     assert finished.size
     again = belief.after(Evidence.none(c), -1, policy)
-    assert again.probability[np.isin(again.places, finished)].sum() >= belief.probability[c.goal[belief.places]].sum()
+    still = again.probability[np.isin(again.situations, finished)].sum()
+    assert still >= belief.probability[c.goal[belief.situations]].sum()
     with pytest.raises(ImpossibleObservationError, match="impossible in all states"):
         JointBelief.at(int(finished[0]), pomdp.prior).after(Evidence(np.ones(len(c.names) + 1)), -1, policy)
 
@@ -255,6 +256,6 @@ def test_an_action_that_is_seen_updates_a_belief_over_states_too() -> None:
     said, done = int(said_in(pomdp, np.array([first]))[0, 1]), int(c.actions[first, slots[1]])
     expected = joint.after(Evidence.of(c, {done: 1.0}), said, policy)
     assert known.joints.keys() == {1}
-    np.testing.assert_array_equal(known.joints[1].places, expected.places)
+    np.testing.assert_array_equal(known.joints[1].situations, expected.situations)
     np.testing.assert_allclose(known.belief[1], expected.belief, rtol=1e-12)
-    assert policy.places(known.x[1:]) == expected.likeliest
+    assert policy.situations(known.x[1:]) == expected.likeliest

@@ -114,7 +114,7 @@ def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool
         with pytest.raises(InapplicableError):
             again.report(kind, **fields)
     with pytest.raises(InapplicableError):
-        session.place(own)
+        session.task_and_state(own)
     new = Part(session, "dora")
     new.come()
     new.to("thanks")  # the study goes on
