@@ -44,7 +44,7 @@ def influence_factors(theta: float, p: float, others: float) -> tuple[float, flo
     return 1.0, 1.0
 
 
-@njit()
+@njit(inner=True)
 def factors_after(suggested: int, theta: float, p: float, others: float) -> tuple[float, float]:
     """Return the factors as in `influence_factors`; 1 without a suggestion, if the suggested slot is negative."""
     return influence_factors(theta, p, others) if suggested >= 0 else (1.0, 1.0)

@@ -7,7 +7,7 @@ from planner.system.jit import njit
 from .hidden_type import Bools, Floats, Ints
 
 
-@njit()
+@njit(inner=True)
 def leave_out_reached(belief: Floats, mass: float, x: int, goal: Bools, goal_of: Ints) -> float:
     """Set the cells of a flat belief, shape (H * T,), whose goal is reached in state x to 0; return the mass left.
 

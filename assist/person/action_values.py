@@ -28,14 +28,14 @@ class Work(NamedTuple):
     declined: Floats
 
 
-@njit()
+@njit(inner=True)
 def new_work(actions: int, thetas: int) -> Work:
     """Return empty arrays for a number of robot actions and of thetas."""
     return Work(np.empty((actions, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas))
 
 
 # One function, since value iteration took 1.5 to 2 times as long with its inner loops in a function of their own.
-@njit(error_model="numpy")
+@njit(error_model="numpy", inner=True)
 def action_values(work: Work, value: Floats, x: int, h: int, only: int, m: ProblemArrays) -> None:
     """Fill `work.q` with the Q-values of all robot actions (or of `only` one) in state x for one type.
 

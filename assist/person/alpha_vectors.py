@@ -114,7 +114,7 @@ class VectorPolicy(Policy):
 
 
 # Reassociation lets the compiler vectorise the sums. These values are not part of a certified bound.
-@njit(fastmath={"reassoc", "contract"})
+@njit(fastmath={"reassoc", "contract"}, inner=True)
 def _dot(alpha: Floats, belief: Floats) -> float:
     total = 0.0
     for i in range(len(alpha)):
@@ -122,7 +122,7 @@ def _dot(alpha: Floats, belief: Floats) -> float:
     return total
 
 
-@njit()
+@njit(inner=True)
 def _best_vector(y: int, belief: Floats, vectors: Floats, first: NDArray[np.int64]) -> tuple[float, int]:
     """Return the largest alpha . b in state y, and its vector; `belief` and `vectors` are flat, (..., H * T)."""
     if first[y] == first[y + 1]:

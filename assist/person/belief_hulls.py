@@ -70,7 +70,7 @@ def empty_hull(corner: Floats, capacity: int) -> UpperHull:
 
 
 # Reassociation lets the compiler vectorise the sums. The margin of each backup covers its effect on rounding.
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, inner=True)
 def dot(a, b):
     """Return a . b."""
     total = 0.0
@@ -79,7 +79,7 @@ def dot(a, b):
     return total
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, inner=True)
 def _largest_weight(belief, inverse, enough):
     """Return the largest w with w * stored <= belief, where `inverse` holds 1 / stored.
 

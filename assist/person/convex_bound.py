@@ -47,7 +47,7 @@ def uppers(
         value[n] += rounding(2 * size) * abs(value[n])
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, inner=True)
 def weigh(
     belief: Floats, base: float, point: Floats, drop: Floats, begin: int, end: int, pivots: int, program: Program
 ) -> int:

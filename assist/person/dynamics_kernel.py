@@ -52,7 +52,7 @@ def act_compiled(people: NDArray[np.int64], them: PeopleArrays, minds: Minds, m:
         them.x[i] = y
 
 
-@njit()
+@njit(inner=True)
 def _draw(p: Floats, count: int, lapse: float, uniform: float) -> int:
     """Return the first slot whose cumulative probability exceeds a uniform number."""
     total = 0.0

@@ -105,7 +105,7 @@ def new_trial(depth: int, size: int, actions: int, slots: int) -> Trial:
     )
 
 
-@njit()
+@njit(inner=True)
 def new_room(s):
     """Return the work arrays of a search."""
     size, slots = s.hull.corner.shape[1], s.m.targets.shape[1]
@@ -115,14 +115,14 @@ def new_room(s):
 
 # Whole-array forms (a[:] = b, (a <= b).all(), a / b) take several times as long to compile. Each calling function would
 # include numba's code for broadcasting and its error messages.
-@njit()
+@njit(inner=True)
 def _fill(a, value):
     """Set all entries of a to one value."""
     for i in range(len(a)):
         a[i] = value
 
 
-@njit()
+@njit(inner=True)
 def _expand_children(d, r, parts, trial, m):
     """Fill in the posteriors after a robot action and each slot; return the state in which the person acts."""
     acting, slot = split(parts, trial.belief[d], trial.state[d], r, m)
@@ -132,7 +132,7 @@ def _expand_children(d, r, parts, trial, m):
     return acting
 
 
-@njit()
+@njit(inner=True)
 def _bound_above(d, r, room, trial, hull, m):
     """Compute an upper bound on the Q-value of a robot action from the bounds of its children."""
     value = -m.robot_costs[trial.state[d], r]
@@ -145,7 +145,7 @@ def _bound_above(d, r, room, trial, hull, m):
     trial.known[d, r] = True
 
 
-@njit()
+@njit(inner=True)
 def most_promising(d, room, trial, hull, m):
     """Return the robot action with the largest upper bound, and evaluate the children of as few as possible."""
     actions = m.robot_actions[trial.state[d]]
@@ -159,7 +159,7 @@ def most_promising(d, room, trial, hull, m):
         _bound_above(d, r, room, trial, hull, m)
 
 
-@njit()
+@njit(inner=True)
 def _bound_below(d, r, room, trial, vectors, m):
     """Compute a lower bound on the Q-value of a robot action, and fill in the best vector after each slot."""
     x = trial.state[d]
@@ -172,7 +172,7 @@ def _bound_below(d, r, room, trial, vectors, m):
     return value
 
 
-@njit()
+@njit(inner=True)
 def _backup_vector(x, r, room, vectors, m):
     """Fill in the alpha vector of a robot action that is followed by the vectors that were kept.
 
@@ -216,7 +216,7 @@ def _backup_vector(x, r, room, vectors, m):
             part[t] = v - margin * abs(v)
 
 
-@njit()
+@njit(inner=True)
 def _entry_where_theta_moves(parts, x, r, h, t, m):
     """Return the entry of an alpha vector at type h and theta t, where a suggestion or its absence moves theta.
 
@@ -239,7 +239,7 @@ def _entry_where_theta_moves(parts, x, r, h, t, m):
     return v
 
 
-@njit()
+@njit(inner=True)
 def _backup_lower(d, step, room, trial, vectors, m):
     """Back up the lower bound at one depth of the trial; return whether it improved by more than `step`."""
     x, belief = trial.state[d], trial.belief[d]
@@ -257,7 +257,7 @@ def _backup_lower(d, step, room, trial, vectors, m):
     return True
 
 
-@njit()
+@njit(inner=True)
 def start_node(d, belief, mass, q, trial, m):
     """Put belief / mass on the trial, with upper bounds on the Q-values that do not need the children.
 
@@ -313,7 +313,7 @@ def trials(x0, prior, enough, backups, fineness, rng, s):
     return done
 
 
-@njit()
+@njit(inner=True)
 def _descend(gap, fineness, rng, room, s):
     """Follow a trial from its first node on; return its depth, its target there, and whether it has cut off children.
 
@@ -355,7 +355,7 @@ def _descend(gap, fineness, rng, room, s):
     return depth, target, cut
 
 
-@njit()
+@njit(inner=True)
 def _ascend(depth, target, fineness, room, s):
     """Back up both bounds from the last node of a trial to its first; return whether one has improved."""
     trial, hull, m = s.trial, s.hull, s.m

@@ -278,7 +278,7 @@ def _last(which: NDArray[np.bool_]) -> Ints:
     return np.where(which.any(axis=1), last, 0)
 
 
-@njit()
+@njit(inner=True)
 def _chance(likelihood: Floats, seen: int, rate: float, action: int, count: int, applicable: bool) -> float:
     """Return the likelihood of what was seen, if an action was taken in a state with a number of choices."""
     if rate < 0.0:

@@ -126,7 +126,7 @@ def solve(belief: Floats, point: Floats, drop: Floats, count: int, enough: float
     return found
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, inner=True)
 def _minimise(
     table: Floats, basic: NDArray[np.int64], free: NDArray[np.int64], count: int, enough: float, pivots: int,
     entering: Floats,

@@ -50,14 +50,14 @@ def empty_vectors(states: int, size: int, capacity: int) -> AlphaVectors:
 
 # Whole-array forms (a[:] = b, (a <= b).all(), a / b) take several times as long to compile. Each calling function would
 # include numba's code for broadcasting and its error messages.
-@njit()
+@njit(inner=True)
 def copied(a, b):
     """Copy b into a."""
     for i in range(len(a)):
         a[i] = b[i]
 
 
-@njit()
+@njit(inner=True)
 def _dominated(a, b):
     """Return whether a <= b in all entries."""
     for i in range(len(a)):  # noqa: SIM110  numba has no generator expressions
@@ -79,7 +79,7 @@ def lower(x, belief, vectors):
     return best, at
 
 
-@njit()
+@njit(inner=True)
 def add_vector(x, action, vector, belief, vectors):
     """Add an alpha vector, computed for a belief, to a state, and remove the vectors that it dominates pointwise."""
     after, head, space, live = vectors.after, vectors.head, vectors.space, vectors.live
@@ -112,7 +112,7 @@ def add_vector(x, action, vector, belief, vectors):
         vectors.limit[x] = max(FEW_VECTORS, 2 * live[x])
 
 
-@njit()
+@njit(inner=True)
 def _prune(x, vectors):
     """Keep only those vectors of a state's list that are best at a witness belief of one of them."""
     after, head = vectors.after, vectors.head

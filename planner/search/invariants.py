@@ -113,7 +113,7 @@ def _add(together, facts, fact):
         together[other, fact] = together[fact, other] = True
 
 
-@njit(nogil=True)
+@njit(nogil=True, inner=True)
 def _mark(marks, variable, facts, value):
     """Set the marks of the variables of the given facts."""
     for fact in facts:

@@ -107,7 +107,7 @@ class Compiled:
         with _loading:
             if "_dispatcher" in vars(self):  # another thread was first
                 return vars(self)["_dispatcher"]
-            dispatcher = _numba().njit(cache=True, **self._options)(self.__wrapped__)
+            dispatcher = _numba().njit(cache=True, no_cfunc_wrapper=True, **self._options)(self.__wrapped__)
             if not _numba().config.DISABLE_JIT:
                 _compile_once(dispatcher._cache)
                 files = dispatcher._cache._cache_file
@@ -137,6 +137,23 @@ class Compiled:
         return str(self.__qualname__)
 
 
+class Inner(Compiled):
+    """A compiled function that only compiled code calls, so that numba makes no code by which Python would call it.
+
+    That code takes arguments out of their Python objects, field by field. For a function whose arguments are named
+    tuples of many arrays, it is larger than the function itself.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        super().__init__(function, {**options, "no_cpython_wrapper": True})
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """Refuse a call by Python, which would end the process; without compilation, compiled code is Python."""
+        if _numba().config.DISABLE_JIT:
+            return super().__call__(*arguments, **named)
+        raise TypeError(f"only compiled code can call {self.__module__}.{self.__qualname__}: it is declared inner")
+
+
 class Intrinsic:
     """A function of numba's `intrinsic`, which is made when compiled code first needs it."""
 
@@ -159,8 +176,12 @@ def intrinsic(function: Callable[..., Any]) -> Any:
     return Intrinsic(function)
 
 
-def njit(*, fastmath: bool | set[str] = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+def njit(
+    *, fastmath: bool | set[str] = False, inner: bool = False, **options: Any
+) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator like `numba.njit` whose cache also depends on the other files that the code uses.
+
+    A function that is `inner` can be called by compiled code only (`Inner`), and is compiled in about half the time.
 
     The arithmetic of a function depends on its own `fastmath` only. Without the option, numba would compile it with
     that of the first function that calls it, so that results would depend on the order of compilation.
@@ -168,7 +189,7 @@ def njit(*, fastmath: bool | set[str] = False, **options: Any) -> Callable[[Call
     numba itself compares only the file of the function. It would load outdated code after an edit of a function or a
     constant that is compiled into this one from another file.
     """
-    return lambda function: Compiled(function, {"fastmath": fastmath, **options})
+    return lambda function: (Inner if inner else Compiled)(function, {"fastmath": fastmath, **options})
 
 
 def _compile_once(stored: Any) -> None:

@@ -163,7 +163,7 @@ def serve(
         left -= use[what, column[who]]
 
 
-@njit()
+@njit(inner=True)
 def uniform(key: np.uint64, number: int) -> float:
     """Return a number from 0 to 1 that depends on a key and a counter (the generator SplitMix64)."""
     x = key * np.uint64(0xD1342543DE82EF95) + np.uint64(number) * np.uint64(0x9E3779B97F4A7C15)
@@ -172,7 +172,7 @@ def uniform(key: np.uint64, number: int) -> float:
     return float((x ^ (x >> np.uint64(31))) >> np.uint64(11)) / 9007199254740992.0
 
 
-@njit()
+@njit(inner=True)
 def propose(
     gain: Floats, use: Floats, rest: Ints, column: Ints, resources: float, most: int
 ) -> tuple[Ints, int]:  # fmt: skip
@@ -209,7 +209,7 @@ def propose(
     return found, count
 
 
-@njit()
+@njit(inner=True)
 def _is_new(found: Ints, count: int) -> bool:
     """Return whether row `count` differs from all rows before it."""
     new = True

@@ -273,7 +273,7 @@ def decompose(belief: Floats, x: int, known: Known, part: Floats, node: Ints) ->
     return count
 
 
-@njit()
+@njit(inner=True)
 def expand_node(node: int, nodes: NodeTable, relaxed: Relaxed) -> bool:
     """Compute the edges of a node, unless they are known; return whether the capacity was sufficient."""
     if nodes.first[node] >= 0:
@@ -330,7 +330,7 @@ def expand_node(node: int, nodes: NodeTable, relaxed: Relaxed) -> bool:
     return True
 
 
-@njit()
+@njit(inner=True)
 def outcome(edge: int, uniforms: float, nodes: NodeTable) -> int:
     """Return the node to which an edge leads for a number in [0, 1)."""
     low, high = nodes.begin[edge], nodes.begin[edge + 1] - 1

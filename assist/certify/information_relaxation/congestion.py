@@ -208,7 +208,7 @@ class Congestion:
             self.belief_nodes.grow()
 
 
-@njit()
+@njit(inner=True)
 def _attention_value(
     node: int, x: int, price: float, top: float, nodes: NodeTable, attended: NDArray[np.bool_], actions: int
 ) -> float:
@@ -223,7 +223,7 @@ def _attention_value(
     return 0.0 if with_it == np.inf else min(without - with_it, top) + price
 
 
-@njit()
+@njit(inner=True)
 def _mean_after(edge: int, end: int, out: Floats, rows: Rows, nodes: NodeTable) -> None:
     """Fill in the mean of the rows after an edge, up to a column."""
     out[:end] = 0.0

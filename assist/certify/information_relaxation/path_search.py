@@ -205,14 +205,14 @@ def _least(graph: SampleGraph, surcharge: Floats, value: Floats, busy: Floats) -
             break
 
 
-@njit()
+@njit(inner=True)
 def _copy(to: Floats, row: Floats) -> None:
     """Copy a row; an array assignment takes seconds to compile."""
     for c in range(len(to)):
         to[c] = row[c]
 
 
-@njit()
+@njit(inner=True)
 def _advance(
     state: Ints, total: float, estimate: float, edge: Ints, row: Floats, team: _Team
 ) -> tuple[float, float]:  # fmt: skip
@@ -234,7 +234,7 @@ def _advance(
     return total, estimate
 
 
-@njit()
+@njit(inner=True)
 def _code(t: int, state: Ints, radix: Ints, team: _Team) -> int:
     """Return a number for the nodes of all people at a step."""
     code = t
@@ -243,7 +243,7 @@ def _code(t: int, state: Ints, radix: Ints, team: _Team) -> int:
     return code
 
 
-@njit()
+@njit(inner=True)
 def _next_attending(edge: int, node: int, team: _Team) -> int:
     """Return the next edge of a node after this one that takes attention, `END` if there is none."""
     for e in range(edge + 1, team.edge[node + 1]):
@@ -252,7 +252,7 @@ def _next_attending(edge: int, node: int, team: _Team) -> int:
     return END
 
 
-@njit()
+@njit(inner=True)
 def _first_actions(state: Ints, idle: Ints, edge: Ints, team: _Team) -> int:
     """Fill in each person's edge without attention, `END` if there is none; return the number of the latter.
 
@@ -274,7 +274,7 @@ def _first_actions(state: Ints, idle: Ints, edge: Ints, team: _Team) -> int:
     return attended
 
 
-@njit()
+@njit(inner=True)
 def _next_actions(state: Ints, idle: Ints, edge: Ints, attended: int, robots: int, team: _Team) -> int:
     """Change `edge` to the next joint action that takes at most so many robots, of which `attended` are taken.
 

@@ -62,7 +62,7 @@ def matching(tree, begin, end, state, found):
     return count
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always", inner=True)
 def sort_first(numbers, count):
     """Sort the first `count` numbers; there are few, so that insertion is fastest."""
     for i in range(1, count):
@@ -106,7 +106,7 @@ class PackedOperators(NamedTuple):
     """Whether the axioms of each stage are cyclic, so that it is repeated until nothing changes."""
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@njit(nogil=True, error_model="numpy", inline="always", inner=True)
 def apply_rules(rules, group, before, after, found):
     """Apply the rules of a group whose conditions hold in `before`, in order, to `after`; return whether it changed."""
     changed = False

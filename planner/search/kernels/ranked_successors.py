@@ -140,7 +140,7 @@ class Cursor(NamedTuple):
     """The upper digits, in one entry; `upper_words` and `upper_sets` are their contributions."""
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def start_cursor(operators, decoder):
     """Return a cursor without a rank."""
     width, sets = decoder.rows.shape[1], operators.candidates.sets.shape[1]

@@ -76,7 +76,7 @@ NUMBER = 40
 """Bits of a state's number in its slot. The other 24 bits hold a part of its hash, which avoids most comparisons."""
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def hash_of(state):
     """Return the hash of a state's words."""
     mixed = np.uint64(0)
@@ -92,7 +92,7 @@ def place_of(slots, mixed):
     return np.int64(mixed >> np.uint64(20) & np.uint64(len(slots) - 1))
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def entry_of(mixed, number):
     """Return the slot entry of a state: a part of its hash, and its number plus one."""
     return mixed >> np.uint64(NUMBER) << np.uint64(NUMBER) | np.uint64(number + 1)
@@ -183,7 +183,7 @@ class RankSet(NamedTuple):
     """Number of states before each block in its page; undefined in pages without states."""
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def count_ones(word):
     """Return the number of set bits of a word (compilers have an instruction for this pattern)."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
@@ -211,7 +211,7 @@ def count_states(bits, before, within):
     before[-1] = total
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def ask_for(states, rank):
     """Prefetch the memory that `number_of` reads for a rank."""
     prefetch(states.bits, rank >> 6)
@@ -323,7 +323,7 @@ def is_closed(closed, rank):
     return len(closed) != 0 and closed[rank >> 6] & (np.uint64(1) << np.uint64(rank & 63)) != 0
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def close_one(closed, rank):
     """Close a rank if there is a bitmap; thread-safe."""
     if len(closed):

@@ -192,6 +192,24 @@ def test_arithmetic_is_that_of_the_function_and_not_of_its_first_caller() -> Non
     assert ratio(1e-310, 1e-310) == 1.0
 
 
+@njit(inner=True)
+def doubled(a: float) -> float:
+    return 2.0 * a
+
+
+@njit()
+def doubled_twice(a: float) -> float:
+    return float(doubled(doubled(a)))
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_python_is_refused_by_name_where_only_compiled_code_may_call() -> None:
+    """numba would end the process."""
+    assert doubled_twice(1.5) == 6.0
+    with pytest.raises(TypeError, match=r"^only compiled code can call .*\.doubled: it is declared inner$"):
+        doubled(1.5)
+
+
 def test_an_interrupt_while_the_compiler_is_imported_leaves_it_whole(tmp_path: Path) -> None:
     """Otherwise no later call in the same session could use it."""
     script = """
