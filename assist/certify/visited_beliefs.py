@@ -31,7 +31,7 @@ class BeliefRecorder:
         """Record the states and beliefs of the teams, and return the other policy's action."""
         if team.step < self.steps:
             assert team.belief is not None
-            location = np.where(team.free, team.location, BASE)
+            location = np.where(team.ready, team.location, BASE)
             for k, visited in enumerate(self.visited):
                 at = np.flatnonzero(team.active[:, k])
                 here = np.where((location[at] == k).any(axis=1), HERE, AWAY)

@@ -67,7 +67,7 @@ class _Desk:
             "alone": spaces.Box(0.0, 1.0, (humans, sight.actions), np.float32),
             "cost_to_go": spaces.Box(0.0, sight.largest, (humans,), np.float32),
             "erred": spaces.MultiBinary(humans),
-            "free": spaces.MultiBinary(robots),
+            "ready": spaces.MultiBinary(robots),
             "location": spaces.MultiDiscrete([humans + 1] * robots),
             "model": spaces.MultiDiscrete([sight.models] * humans),
             "state": spaces.MultiDiscrete([sight.states] * humans),
@@ -99,7 +99,7 @@ class _Desk:
         """Return the observation of all teams; the first axis of each array is the team, N."""
         return {
             "action_mask": self.shown_mask(),
-            "free": self.teams.free().astype(np.int8),
+            "ready": self.teams.ready().astype(np.int8),
             "location": self.teams.location + 1,
             **self.sight.seen(),
         }
@@ -148,7 +148,7 @@ class TeamEnv(gymnasium.Env):
     episode terminates when all people have finished and is truncated after `setting.max_steps` steps.
 
     With M robots, M > 1 (`setting.robots`), an action is M such numbers, one for each robot, and `action_mask` has the
-    shape (M, actions). `location`, `free` and `illegal` always have the shape (M,). A robot that is sent to a person
+    shape (M, actions). `location`, `ready` and `illegal` always have the shape (M,). A robot that is sent to a person
     with whom another one is at work, or to whom one with a lower number goes, stays where it is; one without a task
     makes room.
 
@@ -215,7 +215,7 @@ class TeamEnv(gymnasium.Env):
     @property
     def is_free(self) -> bool:
         """Whether a robot has arrived and may act."""
-        return bool(self._desk.teams.free()[0].any())
+        return bool(self._desk.teams.ready()[0].any())
 
     @property
     def actions(self) -> int:
@@ -323,7 +323,7 @@ class TeamEnv(gymnasium.Env):
                 raise TypeError("render: expected an environment of one task, and this pool has none to draw")
             self._stage = EnvironmentPicture(task)
         teams = self._desk.teams
-        there = np.where(teams.free()[0], teams.location[0], BASE).tolist()
+        there = np.where(teams.ready()[0], teams.location[0], BASE).tolist()
         return self._stage.draw(
             self._seen, teams.finished[0], there, int(teams.clock[0]), as_svg=self.render_mode == "svg"
         )

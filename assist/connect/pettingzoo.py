@@ -26,7 +26,7 @@ class RobotsEnv(pettingzoo.ParallelEnv):
     """M robots that move between K people and decide at the same time: `TeamEnv` with one agent for each robot.
 
     An agent's action is a number as in `TeamEnv`, for its robot. Its observation is that of the team, with the mask of
-    its own actions. In `location` and `free`, its own entry is the first, and the others follow in their order. A robot
+    its own actions. In `location` and `ready`, its own entry is the first, and others follow in their order. A robot
     that is sent to a person with whom another one is at work, or to whom one with a lower number goes, stays where it
     is; its `info["illegal"]` says so. One without a task makes room. Every agent receives the team's reward.
     All terminate when all people have finished, and are truncated after `setting.max_steps` steps.
@@ -129,11 +129,11 @@ class RobotsEnv(pettingzoo.ParallelEnv):
 
     def _each(self, seen: dict[str, Any]) -> dict[str, Any]:
         mask = seen["action_mask"].reshape(self._robots, -1)
-        there, free = seen["location"], seen["free"]
+        there, ready = seen["location"], seen["ready"]
         found = {}
         for number, agent in enumerate(self.possible_agents):
             own = [number, *(other for other in range(self._robots) if other != number)]
-            changed = {"action_mask": mask[number], "free": free[own], "location": there[own]}
+            changed = {"action_mask": mask[number], "ready": ready[own], "location": there[own]}
             found[agent] = {name: np.array(value) for name, value in (seen | changed).items()}
         return found
 

@@ -182,9 +182,9 @@ class Teams:
         self.engine.clock[rows] = 0
         self.engine.changed()
 
-    def free(self) -> NDArray[np.bool_]:
+    def ready(self) -> NDArray[np.bool_]:
         """Return which robots are not under way, shape (N, M)."""
-        return self.engine.robots.free(self.engine.clock)
+        return self.engine.robots.ready(self.engine.clock)
 
     def state(self) -> TeamState:
         """Return the state that team policies read; its step is the largest clock of any team."""

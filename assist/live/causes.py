@@ -46,7 +46,7 @@ CAUSES = (
         "asked", "a question is open", lambda point, k: point.asked(k) is not None,
         lambda point, k: {"question": point.asked(k)},
     ),
-    Cause("waiting", "everybody at work has a suggestion", lambda point, k: k is None and not point.free.any()),
+    Cause("waiting", "everybody at work has a suggestion", lambda point, k: k is None and not point.waiting.any()),
     Cause("dead-end", "the goal cannot be reached from here", lambda point, k: point.lost(k)),
     Cause(
         "mistake-elsewhere", 'the policy "reactive" helps after mistakes, and the robot is with another person',

@@ -212,11 +212,11 @@ class DecisionPoint:
         return self.present & ~self.ended
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def waiting(self) -> NDArray[np.bool_]:
         """Who is at work, and has neither a suggestion nor an open question, shape (P,)."""
-        free = self.working & (self.said == 0)
-        free[list(self.questions)] = False
-        return free
+        waiting = self.working & (self.said == 0)
+        waiting[list(self.questions)] = False
+        return waiting
 
     def certainly_ended(self, place: int) -> bool:
         """Return whether a person has certainly reached their goal."""
@@ -226,12 +226,12 @@ class DecisionPoint:
         """Return the open question to a person, or the first one if nobody can get a suggestion."""
         if place is not None:
             return self.questions.get(place)
-        return None if self.free.any() else next((one for k, one in self.questions.items() if self.working[k]), None)
+        return None if self.waiting.any() else next((one for k, one in self.questions.items() if self.working[k]), None)
 
     def lost(self, place: int | None) -> bool:
         """Return whether a person, or everybody who could get a suggestion, certainly is in a dead end."""
         if place is None:
-            return all(self.lost(k) for k in np.flatnonzero(self.free).tolist())
+            return all(self.lost(k) for k in np.flatnonzero(self.waiting).tolist())
         _, policy, _ = self._at(place)
         joint = self.beliefs.joint(place, policy)
         share = policy.pomdp.hidden.marginal(joint.joint, "goal")
@@ -341,8 +341,8 @@ class DecisionPoint:
 
     @cached_property
     def _prospects(self) -> dict[int, Prospect]:
-        """The best suggestion to each person who is free to get one, if there is one."""
-        rows = np.flatnonzero(self.free)
+        """The best suggestion to each person who may get one, if there is one."""
+        rows = np.flatnonzero(self.waiting)
         found = {}
         for number, mine in by_model(self.model, rows, len(self.policies)):
             values = self._values(self.policies[number], mine)

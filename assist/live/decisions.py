@@ -165,7 +165,7 @@ class Decisions:
         return _LiveTeam(
             step, active[None], np.array([self._places.at]), t.model[None], t.beliefs,
             [task.policy for task in t.tasks], self._places.travel, t,
-            free=~np.array([self._places.under_way]), fleet=self._setting.fleet,
+            ready=~np.array([self._places.under_way]), fleet=self._setting.fleet,
         )  # fmt: skip
 
     def team_policy(self) -> TeamPolicy:

@@ -361,7 +361,7 @@ class Roster:
         return record
 
     def add(self, name: str, problem: LiveTask, task: str, belief: ArrayLike | None = None) -> None:
-        """Add a new person at the first free place, with a belief or the prior. `grow` makes places."""
+        """Add a new person at the first empty place, with a belief or the prior. `grow` makes places."""
         row, pomdp = problem.row(problem.initial), problem.policy.pomdp
         prior, hidden = pomdp.prior, pomdp.hidden
         carried = None if belief is None else _distribution(name, belief, hidden.of_people(prior).shape)

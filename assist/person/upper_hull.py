@@ -52,9 +52,9 @@ class Program(NamedTuple):
     share : float array, shape (m,)
         The largest weight of each alone.
     table : float array, shape (m + 1, H + 1)
-        The tableau by columns: those of the nonbasic variables `free`, then the right-hand sides. The last row is the
+        The tableau by columns: those of the variables `nonbasic`, then the right-hand sides. The last row is the
         objective.
-    free, basic : int arrays, shapes (m,) and (H,)
+    nonbasic, basic : int arrays, shapes (m,) and (H,)
         Nonbasic and basic variables: a position in `column`, or m + h for the slack variable of entry h.
     pivot : float array, shape (H + 1,)
         Column of the entering variable.
@@ -66,7 +66,7 @@ class Program(NamedTuple):
     column: NDArray[np.int64]
     share: Floats
     table: Floats
-    free: NDArray[np.int64]
+    nonbasic: NDArray[np.int64]
     basic: NDArray[np.int64]
     pivot: Floats
     weight: Floats
@@ -91,7 +91,7 @@ def solve(belief: Floats, point: Floats, drop: Floats, count: int, enough: float
 
     It ends if no column improves the objective by more than `enough`, or after `pivots` pivots.
     """
-    column, share, table, free, basic, inverse, weight, used = program
+    column, share, table, nonbasic, basic, inverse, weight, used = program
     size, mass = len(belief), belief.sum()
     slant = 1e-11  # perturbation of the right-hand sides, so that no two basic variables reach 0 at once
     for h in range(size):
@@ -103,8 +103,8 @@ def solve(belief: Floats, point: Floats, drop: Floats, count: int, enough: float
         i = column[c]
         for h in range(size):
             table[c, h] = share[c] * point[i, h] * inverse[h]
-        table[c, size], free[c] = share[c] * drop[i], c
-    _minimise(table, basic, free, count, enough, pivots, program.pivot)
+        table[c, size], nonbasic[c] = share[c] * drop[i], c
+    _minimise(table, basic, nonbasic, count, enough, pivots, program.pivot)
     found = 0
     left = program.pivot
     for h in range(size):
@@ -128,7 +128,7 @@ def solve(belief: Floats, point: Floats, drop: Floats, count: int, enough: float
 
 @njit(fastmath=FAST, inner=True)
 def _minimise(
-    table: Floats, basic: NDArray[np.int64], free: NDArray[np.int64], count: int, enough: float, pivots: int,
+    table: Floats, basic: NDArray[np.int64], nonbasic: NDArray[np.int64], count: int, enough: float, pivots: int,
     entering: Floats,
 ) -> None:  # fmt: skip
     """Pivot until no column improves the objective by more than `enough`, or until the limit of pivots."""
@@ -160,4 +160,4 @@ def _minimise(
         for h in range(rows + 1):
             table[c, h] = -inverse * entering[h]
         table[c, r] = inverse
-        basic[r], free[c] = free[c], basic[r]
+        basic[r], nonbasic[c] = nonbasic[c], basic[r]

@@ -41,12 +41,12 @@ def check(team: TeamState, action: TeamAction) -> None:
         raise refused("goes to a person who has finished or is not there")
     if (said[team.travel.steps_between(robot, team.location[goes], to) > 0] != 0).any():
         raise refused("speaks to a person before the robot has arrived")
-    if not team.free[goes].all():
+    if not team.ready[goes].all():
         raise refused("sends a robot that is under way")
     if not len(to):
         return
     # Robots that are not sent make room.
-    after = np.where(action.person != NOBODY, action.person, np.where(team.free, BASE, team.location))
+    after = np.where(action.person != NOBODY, action.person, np.where(team.ready, BASE, team.location))
     crowded = np.flatnonzero((after != BASE).sum(axis=1) > 1)
     ordered = np.sort(after[crowded], axis=1)
     for row, one in zip(*np.nonzero((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != BASE)), strict=True):

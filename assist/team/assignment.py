@@ -36,7 +36,7 @@ def assigned(team: TeamState, worth: Floats) -> Ints:
         best = first_best(worth)
         enough = np.take_along_axis(worth, best[..., None], axis=2)[..., 0] > NEAR
         return np.where(enough, best, NOBODY)
-    return (_best_served if team.interchangeable else _matched)(worth, team.location, team.free)
+    return (_best_served if team.interchangeable else _matched)(worth, team.location, team.ready)
 
 
 def placed(location: Ints, person: Ints) -> Ints:
@@ -50,23 +50,23 @@ def placed(location: Ints, person: Ints) -> Ints:
     return np.where(sent, person, np.where(leaves, BASE, location))
 
 
-def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
+def _best_served(worth: Floats, location: Ints, ready: NDArray[np.bool_]) -> Ints:
     """Return the assignment if places are equally far and robots alike, so that only the people's worth matters."""
     teams, robots, people = worth.shape
     each = worth.max(axis=1)
     served = np.zeros((teams, people), dtype=bool)
     first = ranked(each)[:, :robots]
-    enough = (np.take_along_axis(each, first, axis=1) > NEAR) & (np.arange(first.shape[1]) < free.sum(axis=1)[:, None])
+    enough = (np.take_along_axis(each, first, axis=1) > NEAR) & (np.arange(first.shape[1]) < ready.sum(axis=1)[:, None])
     np.put_along_axis(served, first, enough, axis=1)
 
-    staying = free & (location != BASE) & np.take_along_axis(served, location.clip(0), axis=1)
+    staying = ready & (location != BASE) & np.take_along_axis(served, location.clip(0), axis=1)
     n, m = np.nonzero(staying)
     owner = np.full((teams, people), NOBODY)
     owner[n[::-1], location[n, m][::-1]] = m[::-1]  # the first of several robots that are said to be with a person
     staying[n, m] = owner[n, location[n, m]] == m
     person = np.where(staying, location, NOBODY)
 
-    waiting, idle = served & (owner == NOBODY), free & ~staying
+    waiting, idle = served & (owner == NOBODY), ready & ~staying
     # Those who are at the base go first, then those with whose person they would be worth least: they cost the same.
     there = np.take_along_axis(worth, location.clip(0)[:, :, None], axis=2)[:, :, 0].clip(np.finfo(float).min)
     order = ranked(np.where(idle, np.where(location == BASE, np.inf, -there), -np.inf))
@@ -77,7 +77,7 @@ def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints
     return person
 
 
-def _matched(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
+def _matched(worth: Floats, location: Ints, ready: NDArray[np.bool_]) -> Ints:
     """Return the assignment by matching, for any distances."""
     from scipy.optimize import linear_sum_assignment  # slow to import, and rarely needed
 
@@ -92,17 +92,17 @@ def _matched(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
         robots, people = linear_sum_assignment(gain + first, maximize=True)
         good = gain[robots, people] > NEAR
         person[n, robots[good]] = people[good]
-        _stay_rather_than_swap(person[n], location[n], free[n], gain)
+        _stay_rather_than_swap(person[n], location[n], ready[n], gain)
     return person
 
 
-def _stay_rather_than_swap(person: Ints, location: Ints, free: NDArray[np.bool_], gain: Floats) -> None:
+def _stay_rather_than_swap(person: Ints, location: Ints, ready: NDArray[np.bool_], gain: Floats) -> None:
     """Assign a robot without a person to the one it is with, in place of another robot that would come.
 
     This is done where it is at least as good, as a matching does not prefer it. If robots are alike, it always is:
     staying costs nothing.
     """
-    idle = np.flatnonzero((person == NOBODY) & free & (location != BASE)).tolist()
+    idle = np.flatnonzero((person == NOBODY) & ready & (location != BASE)).tolist()
     while idle:
         m = idle.pop()
         for other in np.flatnonzero((person == location[m]) & (location != location[m])).tolist():

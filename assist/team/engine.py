@@ -159,7 +159,7 @@ class Engine:
     def deciding(self) -> Ints:
         """Return the teams in which a robot may be sent, and somebody is at work."""
         now = self.now
-        may: Bools = np.logical_and(self.robots.free(self.clock).any(axis=1), now.active.any(axis=1))
+        may: Bools = np.logical_and(self.robots.ready(self.clock).any(axis=1), now.active.any(axis=1))
         return now.running[may[now.running]]
 
     def state(self, teams: Ints | None = None) -> TeamState:
@@ -173,7 +173,7 @@ class Engine:
         return TeamState(
             step=int(self.clock[every].max()), active=now.active[every], location=self.robots.location[every],
             model=self.tasks.model[every], beliefs=known, policies=self.tasks.policies, travel=self.robots.travel,
-            free=self.robots.free(self.clock)[every], fleet=self.robots.fleet,
+            ready=self.robots.ready(self.clock)[every], fleet=self.robots.fleet,
         )  # fmt: skip
 
     def ask(self, questions: Questions) -> list[tuple[Asked, bool]]:
@@ -260,7 +260,7 @@ class Engine:
     def _charge_waiting(self, sent: Sent) -> None:
         """Charge for the robots that are with a person at work and do nothing, after these were sent."""
         robots, tasks, x = self.robots, self.tasks, self.beliefs.x.reshape(self.people.situation.shape)
-        waits = robots.free(self.clock) & (robots.location != BASE)
+        waits = robots.ready(self.clock) & (robots.location != BASE)
         busy = sent.action > 0
         waits[sent.team[busy], sent.robot[busy]] = False
         team, robot = np.nonzero(waits)

@@ -61,7 +61,7 @@ class RobotsAtWork:
         self.location = np.full((teams, len(fleet)), BASE, dtype=np.int64)
         self.busy_until = np.zeros((teams, len(fleet)), dtype=np.int64)
 
-    def free(self, clock: Ints) -> NDArray[np.bool_]:
+    def ready(self, clock: Ints) -> NDArray[np.bool_]:
         """Return which robots are not under way, shape (N, M), at a step of each team, shape (N,)."""
         return self.busy_until <= clock[:, None]
 

@@ -153,8 +153,8 @@ class Rollout:
         gained[n, m] = going[n, m, person[n, m]]
         instead = np.maximum(np.where(served[:, None], -np.inf, going).max(axis=2), staying)
         loss = np.full((N, 2, K), np.inf)  # of attending to a person, and of leaving one out
-        free = np.where(team.free, gained, np.inf).min(axis=1)
-        loss[:, 0] = np.where(served, np.inf, free[:, None] - going.max(axis=1))
+        least = np.where(team.ready, gained, np.inf).min(axis=1)
+        loss[:, 0] = np.where(served, np.inf, least[:, None] - going.max(axis=1))
         loss[n, 1, person[n, m]] = gained[n, m] - instead[n, m]
         loss[team.active.sum(axis=1) > self.options.people] = np.inf
         flat = loss.reshape(N, -1)
@@ -272,7 +272,7 @@ class _Paths:
         )  # fmt: skip
         # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
         self.engine.clock[:], self._own_theta = team.step, them.theta.copy()
-        robots.location[:], robots.busy_until[:] = team.location[own], team.step + 1 - team.free[own]
+        robots.location[:], robots.busy_until[:] = team.location[own], team.step + 1 - team.ready[own]
 
     def values(self) -> Floats:
         """Return the sum of discounted advantages on each path, shape (L, S)."""

@@ -76,7 +76,7 @@ class TeamState:
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
-    free : bool array, shape (N, M)
+    ready : bool array, shape (N, M)
         Which robots are not under way; all, by default.
     fleet : Fleet
         The M robots, whose actions may cost more than in people's problems; one without fields of its own by default.
@@ -96,7 +96,7 @@ class TeamState:
     beliefs: Beliefs
     policies: Sequence[Policy]
     travel: Travel
-    free: NDArray[np.bool_] = field(default_factory=lambda: np.ones((), dtype=bool), kw_only=True)
+    ready: NDArray[np.bool_] = field(default_factory=lambda: np.ones((), dtype=bool), kw_only=True)
     fleet: Fleet = field(default=Fleet.of((Robot(),)), kw_only=True)
     x: NDArray[np.int64] = field(init=False)
     erred: NDArray[np.bool_] = field(init=False)
@@ -105,11 +105,11 @@ class TeamState:
     __repr__ = outline
 
     def __post_init__(self) -> None:
-        if self.free.shape != self.location.shape:
-            object.__setattr__(self, "free", np.broadcast_to(self.free, self.location.shape))
+        if self.ready.shape != self.location.shape:
+            object.__setattr__(self, "ready", np.broadcast_to(self.ready, self.location.shape))
         known, shape = self.beliefs, self.active.shape
         belief = known.belief.reshape(*shape, *known.belief.shape[1:]) if len(known.belief) else None
-        given = {name: getattr(self, name) for name in ("active", "location", "model", "free")}
+        given = {name: getattr(self, name) for name in ("active", "location", "model", "ready")}
         of_people = {"x": known.x.reshape(shape), "erred": known.erred.reshape(shape), "belief": belief}
         for name, array in (given | of_people).items():
             if array is not None and array.flags.writeable:  # the owner of the array may still write to it
@@ -127,15 +127,15 @@ class TeamState:
 
         A robot that is not under way may go to anybody at work, except those to whom another robot is under way.
         """
-        may = self.free[:, :, None] & self.active[:, None]
-        if not self.free.all():
-            teams, robots = np.nonzero(~self.free)
+        may = self.ready[:, :, None] & self.active[:, None]
+        if not self.ready.all():
+            teams, robots = np.nonzero(~self.ready)
             may[teams, :, self.location[teams, robots]] = False
         return may
 
     @property
     def interchangeable(self) -> bool:
-        """Whether each free robot is worth the same everywhere, but where it stays.
+        """Whether each robot that is ready is worth the same everywhere, but where it stays.
 
         So it is if all distances are equal, and all robots are alike and wait for free.
         """

@@ -76,15 +76,15 @@ def _greedy(gain: Floats, use: Floats, action: Ints, resources: float) -> Ints:
     with np.errstate(divide="ignore", invalid="ignore"):
         score = np.where((gain > 0) & (use > 0), gain / use, -np.inf).transpose(1, 2, 0).reshape(runs, -1)
     order = np.argsort(-score, axis=1, kind="stable")
-    left, free, found = np.full(runs, resources), np.ones((runs, N), dtype=bool), action.copy()
+    left, unserved, found = np.full(runs, resources), np.ones((runs, N), dtype=bool), action.copy()
     rows = np.arange(runs)
     for pair in order.T:
         k, a = pair // A, pair % A
         units = use[a, rows, k]
-        takes = (score[rows, pair] > -np.inf) & free[rows, k] & (units <= left)
+        takes = (score[rows, pair] > -np.inf) & unserved[rows, k] & (units <= left)
         if not (score[rows, pair] > -np.inf).any():
             break
         found[rows[takes], k[takes]] = a[takes]
         left[takes] -= units[takes]
-        free[rows[takes], k[takes]] = False
+        unserved[rows[takes], k[takes]] = False
     return found

@@ -310,7 +310,7 @@ def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None
     for _ in range(60):
         assert seen in many.observation_space
         assert ((seen["location"][:, 0] != seen["location"][:, 1]) | (seen["location"] == 0).all(axis=1)).all()
-        assert (info["action_mask"][~seen["free"].astype(bool)][:, 1:] == 0).all()
+        assert (info["action_mask"][~seen["ready"].astype(bool)][:, 1:] == 0).all()
         numbers = many.action_space.sample()
         allowed = np.take_along_axis(info["action_mask"], numbers[..., None], axis=2)[..., 0] > 0
         seen, *_, info = many.step(numbers)

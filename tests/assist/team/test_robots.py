@@ -146,7 +146,7 @@ def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:
         check(team, TeamAction(np.array([person]), np.zeros((1, 2), dtype=np.int64)))
     with pytest.raises(UserCodeError, match=r"shape \(1, 2\), an entry for each robot"):
         check(team, TeamAction(np.array([0]), np.array([0])))
-    under_way = replace(team, free=np.array([[True, False]]))
+    under_way = replace(team, ready=np.array([[True, False]]))
     with pytest.raises(UserCodeError, match="sends a robot that is under way"):
         check(under_way, TeamAction(np.array([[NOBODY, 2]]), np.zeros((1, 2), dtype=np.int64)))
 
@@ -351,27 +351,27 @@ def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndar
         moves, worth = moves[:1] * count, worth[:1] * count
     places = draw(st.permutations([0, 1, 2]))
     at = [place if draw(st.booleans()) else BASE for place in (*places, BASE)[:count]]
-    free = [draw(st.booleans()) or place == BASE for place in at]
-    return Travel.of(3, c_move=moves, distance=distance), np.array([at]), np.array([free]), np.array([worth])
+    ready = [draw(st.booleans()) or place == BASE for place in at]
+    return Travel.of(3, c_move=moves, distance=distance), np.array([at]), np.array([ready]), np.array([worth])
 
 
 @settings(max_examples=100, deadline=None)
 @given(situations())
 def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray]) -> None:
-    travel, location, free, worth = found
+    travel, location, ready, worth = found
     nobody = np.zeros((1, 3), dtype=np.int64)
     known = KnownStates(nobody[0], np.empty((0, 1, 1)), nobody[0] > 0)
     team = TeamState(
-        0, nobody == 0, location, nobody, known, [], travel, free=free, fleet=Fleet.of((Robot(),) * worth.shape[1])
+        0, nobody == 0, location, nobody, known, [], travel, ready=ready, fleet=Fleet.of((Robot(),) * worth.shape[1])
     )
     net = worth - team.to()
     person = assigned(team, net)
     check(team, TeamAction(person, np.zeros_like(person)))
     rounded = net + np.random.default_rng(0).uniform(-1e-14, 1e-14, net.shape)
     assert (assigned(team, rounded) == person).all()  # also where several assignments are the best
-    assert (person[~free] == NOBODY).all()
-    taken = set(location[~free])
-    options = [[NOBODY, *sorted({0, 1, 2} - taken)] if one else [NOBODY] for one in free[0]]
+    assert (person[~ready] == NOBODY).all()
+    taken = set(location[~ready])
+    options = [[NOBODY, *sorted({0, 1, 2} - taken)] if one else [NOBODY] for one in ready[0]]
     best = max(
         sum(net[0, m, k] for m, k in enumerate(each) if k != NOBODY)
         for each in itertools.product(*options)
@@ -433,7 +433,7 @@ def test_each_robot_has_its_own_speed() -> None:
     away: list[list[bool]] = []
 
     def act(team: TeamState) -> TeamAction:
-        away.append((~team.free[0]).tolist())
+        away.append((~team.ready[0]).tolist())
         person = np.full(team.location.shape, NOBODY)
         if team.step == 0:
             person[:] = [0, 1]
@@ -467,7 +467,7 @@ def test_a_robot_without_a_task_makes_room_for_a_better_one() -> None:
         check(team, TeamAction(np.array([[0, 0]]), np.zeros((1, 2), dtype=np.int64)))
     with pytest.raises(UserCodeError, match="or on their way there"):
         check(
-            replace(team, free=np.array([[False, True]])),
+            replace(team, ready=np.array([[False, True]])),
             TeamAction(np.array([[NOBODY, 0]]), np.zeros((1, 2), dtype=np.int64)),
         )
 
