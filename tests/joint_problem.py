@@ -70,7 +70,7 @@ def check(people: list[AssistPOMDP], travel: Travel) -> None:
     around = (travel.distance[:, :, None] + travel.distance[None]).min(axis=1)
     if (around < travel.distance - 1e-9).any():
         raise ValueError("distance: expected the triangle inequality")
-    if len(people) > 1 and any(pomdp.sees_silence for pomdp in people):
+    if len(people) > 1 and any(pomdp.moves[:, 0].any() for pomdp in people):
         raise ValueError("trust: expected one person, as theta of several would move in one step")
     if any(pomdp.frontier is not None for pomdp in people):
         raise ValueError("team: expected problems of whole tasks, and one is truncated")
@@ -145,7 +145,7 @@ def written_out(people: list[AssistPOMDP], travel: Travel) -> JointProblem:
             at, above, share, charge = grid.copy(), grid.copy(), np.zeros(len(every)), 0.0
             if k != NOBODY:
                 charge = float(people[k].robot_costs[tasks[k], action])
-            moves = 0 if people[0].sees_silence else k  # then there is one person
+            moves = 0 if people[0].moves[:, 0].any() else k  # then there is one person
             if moves != NOBODY:
                 theta = grid[2 * moves + 1]
                 at[2 * moves + 1] = people[moves].low[tasks[moves], action, 0][theta]

@@ -206,7 +206,7 @@ class Observed:
         An updated theta that lies between two grid points is split linearly between them.
         """
         pomdp = self.pomdp
-        if pomdp.suggested[x, r] == NOTHING and not pomdp.sees_silence:
+        if not pomdp.moves[x, r]:
             return None
         thetas = np.arange(len(pomdp.grid.theta))
         matrix = np.zeros((len(thetas), len(thetas)))

@@ -19,7 +19,7 @@ from ..people.decision import NOTHING, Floats
 from ..people.neighbours import parts_of
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.sights import SightTable
-from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule, sees_silence
+from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule, may_move
 from .evidence import Evidence
 from .likelihood import Data, Method, largest_beta, with_trust, without_trust
 from .neighbours_in_logs import with_neighbours
@@ -186,7 +186,7 @@ class LikelihoodTable(ByContent):
             The rule sees silence, and people saw neighbours at times in between that are not known.
         """
         own, steps = parts_of(rule)[0], np.zeros_like(self.silences)
-        if sees_silence(own):
+        if may_move(own, False):
             steps = self.silences
             if self.seen.events.size:
                 raise ValueError(

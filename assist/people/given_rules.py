@@ -14,7 +14,7 @@ from typing import Any, get_args
 from planner.system.errors import expected
 
 from ..declare.declared import is_declared
-from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, of_table, sees_silence
+from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, may_move, of_table
 from .user_code import UserCodeError, UserTrustRule, parse
 
 THETAS, EVENTS = SHAPE = 11, 16
@@ -183,7 +183,7 @@ def _after_silence(rule: Any, theta: Any) -> Iterator[tuple[Any, Any]]:
 
     from .perceived_suggestions import moved
 
-    for count in range(min(counts_of(rule), MOST_COUNTS) + 1 if sees_silence(rule) else 0):
+    for count in range(min(counts_of(rule), MOST_COUNTS) + 1 if may_move(rule, False) else 0):
         to, after = moved(rule, theta.copy(), np.full((THETAS, 1), count), Event.silent())
         yield np.asarray(to, dtype=float), np.asarray(after, dtype=np.int64)
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from .decision import Bools, Floats, Ints
-from .trust_rules import Event, Feedback, TrustRule, counts_of, sees_silence
+from .trust_rules import Event, Feedback, TrustRule, counts_of, may_move
 
 
 def moved(rule: TrustRule, theta: Floats, count: Ints, event: Event) -> tuple[Floats, Ints]:
     """Return theta and the count of a rule after an event; the count stays 0 for rules without `counts`.
 
-    Without a suggestion both stay, unless the rule has `sees_silence`. The count is the number of outcomes that the
+    Both stay where the rule may not move them (`may_move`). The count is the number of outcomes that the
     person has seen, unless the rule has a method `counted(count, event)`.
 
     Parameters
@@ -32,9 +32,10 @@ def moved(rule: TrustRule, theta: Floats, count: Ints, event: Event) -> tuple[Fl
         counting: Any = rule
         counted = getattr(rule, "counted", lambda count, event: np.minimum(count + event.shown, most))
         found, number = counting.update(theta, event, count), counted(count, event)
-    if sees_silence(rule) or np.all(event.suggested):
+    moves = may_move(rule, np.asarray(event.suggested))
+    if moves.all():
         return found, number
-    return np.where(event.suggested, found, theta), np.where(event.suggested, number, count)
+    return np.where(moves, found, theta), np.where(moves, number, count)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeVar, overload
 
 from pydantic import Field
 
@@ -122,7 +122,7 @@ class Event:
 class TrustRule(Protocol):
     """A map of theta and an event to the theta after it.
 
-    Two further attributes are optional: `counts` (`counts_of`) and `sees_silence`.
+    Two further attributes are optional: `counts` (`counts_of`) and `sees_silence` (`may_move`).
 
     Attributes
     ----------
@@ -290,12 +290,21 @@ def counts_of(rule: TrustRule) -> int:
     return int(getattr(rule, "counts", 0))
 
 
-def sees_silence(rule: TrustRule) -> bool:
-    """Return whether a rule is also applied in steps in which a person acts without a suggestion.
+@overload
+def may_move(rule: TrustRule, suggested: Bools) -> Bools: ...
 
-    It says so by an attribute `sees_silence = True`. Under other rules, theta and the count stay in such steps.
+
+@overload
+def may_move(rule: TrustRule, suggested: bool) -> bool: ...
+
+
+def may_move(rule: TrustRule, suggested: Bools | bool) -> Bools | bool:
+    """Return in which steps a rule may move theta and its count, from whether there was a suggestion in each.
+
+    A rule with an attribute `sees_silence = True` is applied in all steps in which people act. Under other rules, theta
+    and the count stay in steps without a suggestion.
     """
-    return bool(getattr(rule, "sees_silence", False))
+    return suggested | bool(getattr(rule, "sees_silence", False))
 
 
 def constant() -> LogitSteps:

@@ -73,7 +73,7 @@ def action_values(work: Work, value: Floats, x: int, h: int, only: int, m: Probl
         if slot < 0:
             for t in range(thetas):
                 e, lapsed = expected[t], mean[t]
-                if m.sees_silence:
+                if m.moves[x, r]:
                     at, up = m.low[x, r, g, t], m.weight[x, r, g, t]
                     e, lapsed = (1.0 - up) * expected[at], (1.0 - up) * mean[at]
                     e, lapsed = e + up * expected[at + 1], lapsed + up * mean[at + 1]

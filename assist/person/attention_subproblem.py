@@ -113,6 +113,7 @@ class AttentionSubproblem:
             robot_costs=np.where(used, there * alone.robot_costs[row, meant] + entry * moves.comes[position], 0.0),
             chosen=alone.chosen[x],
             unsuggested=alone.unsuggested[row, meant],
+            moves=alone.moves[row, meant],
             low=alone.low[row, meant],
             weight=alone.weight[row, meant],
             followed_low=None if alone.followed_low is None else alone.followed_low[row, meant],

@@ -48,7 +48,7 @@ def posterior(belief: Floats, after: Floats, x: int, action: int, slot: int, m: 
     thetas, mass = len(m.theta), 0.0
     acting, suggested = m.afterstate[x, action], m.suggested[x, action]
     steady, uniform = 1.0 - m.lapse, m.lapse / m.counts[acting]
-    if suggested < 0 and not m.sees_silence:
+    if not m.moves[x, action]:
         for h in range(len(belief) // thetas):
             likelihood = steady * m.chosen[acting, slot, h] + uniform
             part = 0.0  # sums of different types are computed at the same time
@@ -179,7 +179,7 @@ def split(parts: Parts, belief: Floats, x: int, action: int, m: ProblemArrays) -
     followed, declined, complied, lapsed = parts
     acting, suggested = m.afterstate[x, action], m.suggested[x, action]
     steady, uniform = 1.0 - m.lapse, m.lapse / max(m.counts[acting], 1)
-    if suggested < 0 and not m.sees_silence:
+    if not m.moves[x, action]:
         for cell in range(len(belief)):
             followed[cell] = declined[cell] = steady * belief[cell]
             complied[cell] = lapsed[cell] = uniform * belief[cell]

@@ -71,8 +71,8 @@ def factors_of(theta: Floats, p: Floats, others: Floats) -> tuple[Floats, Floats
 def posteriors(belief: Floats, x: Ints, action: Ints, slot: Ints, m: ProblemArrays) -> tuple[Floats, Floats]:
     """Return unnormalised posteriors after one choice each, shape (N, H, T), and their masses, shape (N,).
 
-    They are the belief times the likelihood under the theta before, with theta then moved by `low` and `weight`. Where
-    nothing was suggested, these leave theta as it is, unless the trust rule sees silence.
+    They are the belief times the likelihood under the theta before, with theta then moved by `low` and `weight`
+    where it may move.
 
     Parameters
     ----------
@@ -86,13 +86,13 @@ def posteriors(belief: Floats, x: Ints, action: Ints, slot: Ints, m: ProblemArra
     steady, uniform = 1.0 - m.lapse, m.lapse / m.counts[acting]
     after, mass = np.empty_like(cells), np.empty(len(x))
 
-    stays = (suggested < 0) & (not m.sees_silence)
-    alone = np.flatnonzero(stays)
+    moves = m.moves[x, action]
+    alone = np.flatnonzero(~moves)
     likelihood = steady * m.chosen[acting[alone], slot[alone]] + uniform[alone, None]
     after[alone] = likelihood[:, :, None] * cells[alone]
     mass[alone] = in_order(in_order(after[alone]))
 
-    rows = np.flatnonzero(~stays)
+    rows = np.flatnonzero(moves)
     if not len(rows):
         return after, mass
     x, action, slot, acting = x[rows], action[rows], slot[rows], acting[rows]

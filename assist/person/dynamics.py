@@ -36,7 +36,7 @@ def act_readable(people: Ints, them: PeopleArrays, minds: Minds, m: ProblemArray
     slot = drawn_slots(influenced(p, suggestion, theta), counts, minds.lapse, them.uniform[people, 0])
     y = m.targets[acting, slot]
     them.slot[people], them.cost[people] = slot, m.costs[acting, slot]
-    moving = np.flatnonzero((suggestion >= 0) | (m.sees_silence and minds.on_grid))
+    moving = np.flatnonzero(m.moves[x, heard] if minds.on_grid else suggestion >= 0)
     _trust(moving, people, x, heard, slot == suggestion, them, minds, m)
     them.x[people] = y
 
@@ -86,7 +86,7 @@ def _trust(
     moving: Ints, people: Ints, x: Ints, heard: Ints,
     followed: Bools, them: PeopleArrays, minds: Minds, m: ProblemArrays,
 ) -> None:  # fmt: skip
-    """Update theta of those people whom it moves, given by their places in `people`: after suggestions at least."""
+    """Update theta of those people for whom it may move, given by their places in `people`."""
     people, x, heard = people[moving], x[moving], heard[moving]
     theta, outcomes = them.theta[people], them.outcomes[people]
     if minds.on_grid:

@@ -36,19 +36,19 @@ def act_compiled(people: NDArray[np.int64], them: PeopleArrays, minds: Minds, m:
         slot = _draw(p, count, minds.lapse, them.uniform[i, 0])
         y = m.targets[acting, slot]
         them.slot[i], them.cost[i] = slot, m.costs[acting, slot]
-        if suggestion >= 0 or (m.sees_silence and minds.on_grid):
-            if minds.on_grid:
+        if minds.on_grid:
+            if m.moves[x, heard]:
                 t = them.outcomes[i] * each + np.searchsorted(m.theta[:each], theta)
                 low, up = m.low[x, heard, g, t], m.weight[x, heard, g, t]
                 if slot == suggestion:
                     low, up = m.followed_low[x, heard, g, t], m.followed_weight[x, heard, g, t]
                 after_it = low + (them.uniform[i, 1] < up)
                 them.theta[i], them.outcomes[i] = m.theta[after_it], after_it // each
-            else:
-                value = minds.value[them.who[i]]
-                before, expected = value[x], value[m.targets[x, suggestion]]
-                gain = 0.0 if before == expected else expected - before
-                them.theta[i] = update_trust(theta, minds.eta, gain)
+        elif suggestion >= 0:
+            value = minds.value[them.who[i]]
+            before, expected = value[x], value[m.targets[x, suggestion]]
+            gain = 0.0 if before == expected else expected - before
+            them.theta[i] = update_trust(theta, minds.eta, gain)
         them.x[i] = y
 
 

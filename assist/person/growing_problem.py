@@ -45,8 +45,8 @@ OF_PLACES = {"h": np.inf, "goal": False, "key": 0}
 OF_CHOICES = {
     "known": False, "applicable": False, "actions": WAIT, "targets": OWN, "costs": 0.0, "best": False,
     "optimal": False, "features": 0.0, "q": np.inf, "robot_actions": 1, "suggested": NOTHING, "afterstate": OWN,
-    "robot_costs": 0.0, "chosen": 0.0, "unsuggested": 0.0, "effect_known": False, "low": 0, "weight": 0.0,
-    "followed_low": 0, "followed_weight": 0.0,
+    "robot_costs": 0.0, "chosen": 0.0, "unsuggested": 0.0, "moves": False, "effect_known": False, "low": 0,
+    "weight": 0.0, "followed_low": 0, "followed_weight": 0.0,
 }  # fmt: skip
 """What is known where somebody has been; without it a row has no choices. The effects of a robot action on trust, `low`
 and so on, are known if `effect_known` says so.
@@ -294,6 +294,7 @@ class GrowingProblem(ProblemRows):
             "features": choices.features, "q": pomdp.model.q,
             "robot_actions": pomdp.robot_actions, "suggested": pomdp.suggested,
             "robot_costs": pomdp.robot_costs, "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested,
+            "moves": pomdp.moves,
             "low": pomdp.low, "weight": pomdp.weight,
             "followed_low": pomdp.followed_low, "followed_weight": pomdp.followed_weight,
         }  # fmt: skip
@@ -330,7 +331,7 @@ class GrowingProblem(ProblemRows):
             name: rows[name]
             for name in (
                 "robot_actions", "suggested", "afterstate", "robot_costs", "chosen", "unsuggested",
-                *(TRUST if uses_answer else TRUST[:2]),
+                "moves", *(TRUST if uses_answer else TRUST[:2]),
             )
         }  # fmt: skip
         model = replace(pomdp.model, choices=choices, q=read_only(rows["q"]))

@@ -210,7 +210,7 @@ def _backup_vector(x, r, room, vectors, m):
                     mean[t] += u / count
         for t in range(thetas):
             v = (1.0 - m.lapse) * declined[t] + m.lapse * mean[t]
-            if slot >= 0 or m.sees_silence:
+            if m.moves[x, r]:
                 v = _entry_where_theta_moves(parts, x, r, h, t, m)
             v -= m.robot_costs[x, r]
             part[t] = v - margin * abs(v)

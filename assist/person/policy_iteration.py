@@ -477,7 +477,7 @@ def _fill_rows(
                 total = m.theta[t] * chosen[acting, slot, 0] + (1.0 - m.theta[t]) * m.unsuggested[x, r, 0]
                 if total > 0.0:
                     followed, declined = m.theta[t] / total, (1.0 - m.theta[t]) / total
-            if slot >= 0 or m.sees_silence:
+            if m.moves[x, r]:
                 low, up = m.low[x, r, 0, t], m.weight[x, r, 0, t]
                 followed_low, followed_up = m.followed_low[x, r, 0, t], m.followed_weight[x, r, 0, t]
             lapse = m.lapse / count if count > 0 else 0.0

@@ -28,7 +28,7 @@ from ..people.decision import NOTHING, Bools, Floats, Ints
 from ..people.hidden_type import HiddenType
 from ..people.human import HumanModel
 from ..people.ranges import Population, require_populations
-from ..people.trust_rules import EquationSeven, counts_of, sees_silence
+from ..people.trust_rules import EquationSeven, counts_of, may_move
 from .behaviour import PAPER, Behaviour
 from .leaf_bounds import LeafBounds
 from .robot_actions import RobotActions
@@ -63,14 +63,14 @@ class AssistPOMDP:
     unsuggested : float array, shape (n, R, H)
         Sum of `chosen` over all slots but the suggested one. It is stored because 1 - p loses precision for p close to
         1.
+    moves : bool array, shape (n, R)
+        Whether theta may move in a step after each robot action: `low` and `weight` leave it as it is in all others.
     low, weight : int and float arrays, shape (n, R, G, T)
         What becomes of each theta after a robot action, for each goal: `low` is the lower one of the two cells between
         which it lies, and `weight` the share of the cell above, `low + 1` (`Grid.shares`).
     followed_low, followed_weight : int and float arrays, shape (n, R, G, T), or None
         The same if the person does what was suggested, so that `low` and `weight` hold if not; None if the trust rule
         does not use the answer.
-    sees_silence : bool
-        Whether theta also moves in a step without a suggestion, that is, after robot actions that suggest nothing.
     frontier : LeafBounds or None
         Frontier states and their bounds, if the problem is truncated.
     order : int array, shape (G, n), or None
@@ -91,13 +91,13 @@ class AssistPOMDP:
     robot_costs: Floats
     chosen: Floats
     unsuggested: Floats
+    moves: Bools
     low: Ints
     weight: Floats
     frontier: LeafBounds | None = None
     order: Ints | None = None
     followed_low: Ints | None = None
     followed_weight: Floats | None = None
-    sees_silence: bool = False
     alike: int = 1
 
     __repr__ = outline
@@ -158,15 +158,16 @@ class AssistPOMDP:
         goals = model.choices.goals
         hidden = behaviour.types(goals.prior, grid.beta, goals.assume_likeliest, goals.sharpness)
         chosen, unsuggested = _choice_probabilities(model, behaviour.chooses, hidden, robots.suggested)
-        moves = partial(trust_shares, model, behaviour.chooses, grid, rule, frontier, robots.suggested)
-        low, weight = moves(followed=False)
-        followed_low, followed_weight = moves(followed=True) if rule.uses_answer else (None, None)
+        shares = partial(trust_shares, model, behaviour.chooses, grid, rule, frontier, robots.suggested)
+        low, weight = shares(followed=False)
+        followed_low, followed_weight = shares(followed=True) if rule.uses_answer else (None, None)
         return cls(
             model=model, hidden=hidden, grid=grid, gamma=gamma, prior=hidden.prior(grid.prior(population)),
             robot_actions=robots.number, suggested=robots.suggested, afterstate=robots.afterstate,
-            robot_costs=robots.costs, chosen=chosen, unsuggested=unsuggested, low=low, weight=weight,
+            robot_costs=robots.costs, chosen=chosen, unsuggested=unsuggested,
+            moves=may_move(rule, robots.suggested != NOTHING), low=low, weight=weight,
             frontier=None if frontier is None else frontier.of_types(hidden.goal_of),
-            followed_low=followed_low, followed_weight=followed_weight, sees_silence=sees_silence(rule),
+            followed_low=followed_low, followed_weight=followed_weight,
         )  # fmt: skip
 
     @cached_property

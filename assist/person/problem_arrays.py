@@ -70,12 +70,12 @@ class ProblemArrays(NamedTuple):
     robot_costs: Floats
     chosen: Floats
     unsuggested: Floats
+    moves: NDArray[np.bool_]
     low: NDArray[np.int64]
     weight: Floats
     followed_low: NDArray[np.int64]
     followed_weight: Floats
     uses_answer: bool
-    sees_silence: bool
     theta: Floats
     gamma: float
     lapse: float
@@ -89,15 +89,14 @@ class ProblemArrays(NamedTuple):
             "goal": choices.goals.goal, "final": pomdp.final, "ends": pomdp.ends, "goal_of": pomdp.hidden.goal_of,
             "robot_actions": pomdp.robot_actions, "suggested": pomdp.suggested, "afterstate": pomdp.afterstate,
             "robot_costs": pomdp.robot_costs,
-            "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested, "low": pomdp.low, "weight": pomdp.weight,
-            "theta": pomdp.grid.theta,
+            "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested, "moves": pomdp.moves,
+            "low": pomdp.low, "weight": pomdp.weight, "theta": pomdp.grid.theta,
             "followed_low": pomdp.low if pomdp.followed_low is None else pomdp.followed_low,
             "followed_weight": pomdp.weight if pomdp.followed_weight is None else pomdp.followed_weight,
         }  # fmt: skip
         return cls(
             **{name: read_only(array) for name, array in arrays.items()},
             uses_answer=pomdp.followed_low is not None,
-            sees_silence=pomdp.sees_silence,
             gamma=float(pomdp.gamma),
             lapse=float(pomdp.model.lapse),
         )

@@ -132,7 +132,7 @@ class SparseBackup:
         chosen *= m.gamma
 
         # The row of pair p and theta t begins at entry `begin[h, p, t]`.
-        moves = advised | m.sees_silence
+        moves = m.moves[x, r]
         width = np.where(moves, 2, 1) * counts
         size = int(width.sum()) * thetas
         begin = (np.cumsum(width) - width)[:, None] * thetas + width[:, None] * np.arange(thetas)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
-from ..people.trust_rules import TrustRule, sees_silence
+from ..people.trust_rules import TrustRule, may_move
 from ..person.dynamics import act
 from ..person.people_arrays import Minds, PeopleArrays
 from ..person.problem_arrays import ProblemArrays
@@ -49,8 +49,7 @@ class TrustOfPeople:
         act(flat, them, minds, arrays)
         who, heard = them.who[flat], them.heard[flat]
         suggested, value = arrays.suggested[before, heard], minds.value
-        silent = (suggested == NOTHING) & (them.slot[flat] != NOTHING)
-        moving = np.flatnonzero((suggested != NOTHING) | (silent & sees_silence(self.rule)))
+        moving = np.flatnonzero(may_move(self.rule, suggested != NOTHING) & (them.slot[flat] != NOTHING))
         who, x, suggested = who[moving], before[moving], suggested[moving]
         slot = np.maximum(suggested, 0)
         perceived = PerceivedSuggestions.of(

@@ -185,7 +185,8 @@ def test_rules_that_do_not_look_are_not_moved() -> None:
     pomdp = problem(outcome(0.5, 1.0))
     silent = pomdp.suggested == NOTHING
     np.testing.assert_array_equal(pomdp.weight[silent], problem(constant()).weight[silent])
-    assert not pomdp.sees_silence
+    assert not pomdp.moves[silent].any()
+    assert problem(ON_GRID[0]).moves.all()
 
 
 def test_exported_problems_move_theta_in_silence() -> None:

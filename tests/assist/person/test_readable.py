@@ -45,13 +45,13 @@ def problem(
         "costs": rng.random((n, slots)), "goal": goal, "final": goal, "ends": goal.all(axis=0),
         "goal_of": np.repeat(np.arange(goals), betas), "robot_actions": np.full(n, robots),
         "suggested": suggested, "afterstate": afterstate, "robot_costs": rng.random((n, robots)), "chosen": chosen,
-        "unsuggested": np.maximum(0.0, 1.0 - p), "low": tables[0], "weight": weights[0],
+        "unsuggested": np.maximum(0.0, 1.0 - p),
+        "moves": (suggested >= 0) | (rng.random(suggested.shape) < 0.5), "low": tables[0], "weight": weights[0],
         "followed_low": tables[answers], "followed_weight": weights[answers],
         "theta": np.tile(VALUES, outcomes + 1),
     }  # fmt: skip
     return ProblemArrays(
         **{name: read_only(array) for name, array in arrays.items()}, uses_answer=answers, gamma=0.99, lapse=lapse,
-        sees_silence=bool(rng.integers(2)),
     )  # fmt: skip
 
 
