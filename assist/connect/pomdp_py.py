@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.system.errors import MissingExtraError
+from planner.system.errors import require_package
 
 from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP
@@ -65,8 +64,7 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
     ValueError
         There are several goals, or the trust rule depends on whether advice is followed.
     """
-    if importlib.util.find_spec("pomdp_py") is None:
-        raise MissingExtraError("this conversion needs", "pomdp-py", "pomdp-py")
+    require_package("this conversion needs", "pomdp-py", "pomdp-py", "pomdp_py")
     import pomdp_py
     from pomdp_py.utils.templates import SimpleAction, SimpleObservation, SimpleState
 

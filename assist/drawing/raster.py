@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
-from planner.system.errors import MissingExtraError
+from planner.system.errors import require_package
 
 
 def require(suffix: str) -> None:
@@ -18,8 +17,7 @@ def require(suffix: str) -> None:
     """
     needed = {".png": ("resvg_py", "matplotlib"), ".gif": ("resvg_py", "matplotlib", "PIL")}.get(suffix, ())
     for package in needed:
-        if importlib.util.find_spec(package) is None:
-            raise MissingExtraError(f"{suffix} files need", package, "plots")
+        require_package(f"{suffix} files need", package, "plots")
 
 
 def png(svg: str, width: float, scale: float = 1.5) -> bytes:

@@ -134,7 +134,7 @@ class Assistant(Reports, Desk):
         """
         number = len(self.records) + 1
         caused = event.causes(self)
-        found = self.take(event, number=number, caused=caused)
+        found = event.happen(self, number=number, caused=caused)
         self.records.append(TeamRecord(n=number, event=event, caused=caused, step=self._step))
         return found
 
@@ -298,7 +298,7 @@ class Assistant(Reports, Desk):
 
     def _again(self, record: TeamRecord) -> None:
         """Apply a recorded event, and the advice after it."""
-        self.take(record.event, number=record.n, caused=record.caused)
+        record.event.happen(self, number=record.n, caused=record.caused)
         if record.advices:
             self.follow(record.advices, record.step)
         self.records.append(record)

@@ -9,7 +9,7 @@ people ask for with `Undone`. The kinds are in `assist.live.events`, and those o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
@@ -170,6 +170,21 @@ class TeamEvent(Event):
             It is not possible now.
         """
         return ()
+
+    def happen(self, desk: Desk, time: float = 0.0, *, number: int, caused: Iterable[TeamEvent] = ()) -> Any:
+        """Apply it with its number, and what it caused for others; return what was taken back, if anything.
+
+        Raises
+        ------
+        ValueError
+            It is not possible. Nothing has changed.
+        """
+        desk.begins(number, time)
+        found = self.change(desk, time)
+        for one in caused:
+            one.change(desk, time)
+        desk.happened(time, self.concerned, self if self.can_be_taken_back else None)
+        return found
 
     def change(self, desk: Desk, time: float) -> Any:
         """Change what the robot knows of the team, at this time in seconds; return what was taken back, if anything.

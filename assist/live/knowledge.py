@@ -6,10 +6,10 @@ The classes of `events` call the methods that change it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,27 +45,6 @@ from .seen_suggestions import SeenSuggestions
 from .uncertain_actions import seen_of
 
 Task = CostToGo | Goals | Policy
-
-
-class Change(Protocol):
-    """What changes what the robots know: an event of a team, as in `events`."""
-
-    @property
-    def concerned(self) -> str | None:
-        """The person whose state it may change."""
-
-    @property
-    def can_be_taken_back(self) -> bool:
-        """Whether it can be undone."""
-
-    def causes(self, desk: Any) -> tuple[Change, ...]:
-        """Return what it causes for others."""
-
-    def change(self, desk: Any, time: float) -> Any:
-        """Change what the robots know; return what was taken back, if anything."""
-
-    def take_back(self, desk: Any) -> Any:
-        """Undo it."""
 
 
 class Knowledge:
@@ -118,26 +97,18 @@ class Knowledge:
         """Use the tasks that another one with the same arguments has solved."""
         self._decisions.solved = other._decisions.solved
 
-    def take(self, event: Change, time: float = 0.0, *, number: int, caused: Iterable[Change] = ()) -> Any:
-        """Apply an event with a number, and what it caused for others; return what was taken back, if anything.
-
-        Raises
-        ------
-        ValueError
-            It is not possible. Nothing has changed.
-        """
+    def begins(self, number: int, time: float) -> None:
+        """Note that an event with a number happens now."""
         self.roster.event, self.roster.time = number, time
         self.roster.touched.clear()
-        found = event.change(self, time)
-        for one in caused:
-            one.change(self, time)
+
+    def happened(self, time: float, person: str | None, undoable: Any = None) -> None:
+        """Note that it has, what it may have changed of a person, and itself if it can be undone."""
         self._advice = None
-        if event.concerned is not None:
-            entry = self.entry(event.concerned)
+        if person is not None:
+            entry = self.entry(person)
             entry.history.append((time, likeliest_cost_to_go(self.roster, entry)))
-            if event.can_be_taken_back:
-                entry.done.append(event)
-        return found
+            entry.done += [] if undoable is None else [undoable]
 
     def known(self, person: str) -> RosterEntry:
         """Return what is known of a person who is present.

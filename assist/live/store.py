@@ -337,14 +337,6 @@ def stored(file: Path) -> tuple[dict[str, Any], list[tuple[str | None, dict[str,
     OSError
         There is no such file.
     """
-    header, records = _stored(file)
-    if header is None:
-        raise InputFileError.of(file, None, "is not the journal of a session")
-    return header, records
-
-
-def _stored(file: Path) -> tuple[dict[str, Any] | None, list[tuple[str | None, dict[str, Any]]]]:
-    """Return the header and the events of a database; the header is None if no session has begun there."""
     file.stat()  # the operating system's own error, if there is none
     # On a medium that cannot be written there is no log beside the database, so nothing can change.
     fixed = not os.access(file.parent, os.W_OK) and not file.with_name(f"{file.name}-wal").exists()
@@ -355,6 +347,8 @@ def _stored(file: Path) -> tuple[dict[str, Any] | None, list[tuple[str | None, d
             rows = db.execute("SELECT n, at, record FROM events ORDER BY n").fetchall()
     except sqlite3.Error as error:
         raise _as_error(error, file) from error
+    if header is None:
+        raise InputFileError.of(file, None, "is not the journal of a session")
     return header, [(at, _document(record, file, n)) for n, at, record in rows]
 
 

@@ -94,7 +94,7 @@ class Team(History[TeamRecord]):
             return None
         step, time = self.desk.step, round(time, 3)
         caused = found.causes(self.desk)
-        self.desk.take(found, time, number=self.count + 1, caused=caused)
+        found.happen(self.desk, time, number=self.count + 1, caused=caused)
         advices = self._decided()
         self._known.clear()
         if isinstance(event, Elapsed) and advices == self.advices:
@@ -124,7 +124,7 @@ class Team(History[TeamRecord]):
 
     def again(self, record: TeamRecord) -> None:
         """Apply a recorded event, including the robots' decision."""
-        self.desk.take(record.event, record.time, number=record.n, caused=record.caused)
+        record.event.happen(self.desk, record.time, number=record.n, caused=record.caused)
         advices = record.advices or self.advices
         if len(advices) != self.robots:
             raise ValueError(f"advice of {len(advices)} robots; expected {self.robots}")

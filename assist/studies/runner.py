@@ -15,7 +15,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.system.errors import InputFileError, MissingExtraError
+from planner.system.errors import InputFileError, require_package
 from planner.system.files import ResumableFolder, each_record, read_records, write_text
 from planner.system.limits import Deadline, LimitError
 from planner.system.progress import Wanted, adding, shows_progress
@@ -226,10 +226,9 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     MissingExtraError
         pandas is not installed.
     """
-    try:
-        import pandas as pd
-    except ImportError:
-        raise MissingExtraError("data frames need", "pandas", "study") from None
+    require_package("data frames need", "pandas", "study")
+    import pandas as pd
+
     folder = Path(folder)
     if not (folder / EPISODES).is_file() or not (folder / ABOUT).is_file():
         raise InputFileError(f"{folder}: no results of a study; expected {EPISODES} and {ABOUT}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.errors import MissingExtraError
+from planner.system.errors import require_package
 from planner.system.results import Result
 
 from ..people.decision import Floats
@@ -181,8 +180,7 @@ class Episodes(Result):
         MissingExtraError
             pandas is not installed.
         """
-        if importlib.util.find_spec("pandas") is None:
-            raise MissingExtraError("a data frame needs", "pandas", "study")
+        require_package("a data frame needs", "pandas", "study")
         import pandas as pd
 
         number, people = self.people.shape

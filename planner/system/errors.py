@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib.util
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -59,6 +60,18 @@ class MissingExtraError(ImportError):
         else:
             source = f"'kitassist[{extra}]'"
         super().__init__(f"{what} {package}: {sys.executable} -m pip install {source}")
+
+
+def require_package(what: str, package: str, extra: str, module: str | None = None) -> None:
+    """Check that an optional dependency is installed, whose module has its name unless given.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not.
+    """
+    if importlib.util.find_spec(module or package) is None:
+        raise MissingExtraError(what, package, extra)
 
 
 class MismatchError(AssertionError):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from .arrays import outline
-from .errors import MissingExtraError
+from .errors import require_package
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -54,10 +54,9 @@ class Result(ByContent):
         MissingExtraError
             pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise MissingExtraError("a frame needs", str(error.name), "study") from None
+        require_package("a frame needs", "pandas", "study")
+        import pandas
+
         return pandas.DataFrame.from_records(list(self.records()))
 
     def _repr_html_(self) -> str:

@@ -14,10 +14,9 @@ import logging
 import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from planner.system.errors import MissingExtraError
+from planner.system.errors import require_package
 
 from .mqtt_settings import MqttSettings
 from .mqtt_topics import Topics
@@ -32,21 +31,6 @@ LOG = logging.getLogger(__name__)
 ONLINE, OFFLINE = b"online", b"offline"
 QUIET = 0.3
 """Seconds without a message after which a broker has sent all that it keeps."""
-
-
-def library() -> ModuleType:
-    """Return the MQTT library.
-
-    Raises
-    ------
-    MissingExtraError
-        The extra `mqtt` is not installed.
-    """
-    try:
-        import aiomqtt
-    except ImportError:
-        raise MissingExtraError("the MQTT bridge needs", "aiomqtt", "mqtt") from None
-    return aiomqtt
 
 
 def _confirm(broker: aiomqtt.Client) -> None:
@@ -78,8 +62,11 @@ class Mqtt(Topics):
     """
 
     def __init__(self, settings: MqttSettings, robots: int = 1, *, at_once: int = 8) -> None:
+        require_package("the MQTT bridge needs", "aiomqtt", "mqtt")
+        import aiomqtt
+
         super().__init__(settings, robots)
-        self.at_once, self._mqtt = at_once, library()
+        self.at_once, self._mqtt = at_once, aiomqtt
         self.lost = (self._mqtt.MqttError, OSError)
         self._context = settings.context()
         self._begun, self._asked = list[Message](), False

@@ -19,7 +19,7 @@ from hashlib import sha256
 from types import ModuleType
 from typing import Any
 
-from planner.system.errors import MissingExtraError
+from planner.system.errors import require_package
 
 from ...declare.refusals import Refusal
 from .messages import fields_of_value
@@ -38,10 +38,9 @@ def library() -> ModuleType:
     MissingExtraError
         The extra `opcua` is not installed.
     """
-    try:
-        import asyncua
-    except ImportError:
-        raise MissingExtraError("the OPC UA bridge needs", "asyncua", "opcua") from None
+    require_package("the OPC UA bridge needs", "asyncua", "opcua")
+    import asyncua
+
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it reports each lost connection several times
     return asyncua
 

@@ -6,7 +6,6 @@ extra `plots`.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -16,7 +15,7 @@ from zlib import crc32
 
 from numpy.typing import NDArray
 
-from planner.system.errors import MissingExtraError
+from planner.system.errors import require_package
 from planner.system.files import atomic
 
 from ...team.trace import robot_is_at
@@ -156,8 +155,7 @@ def require() -> None:
     MissingExtraError
         matplotlib is not installed.
     """
-    if importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtraError("figures need", "matplotlib", "plots")
+    require_package("figures need", "matplotlib", "plots")
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:

@@ -6,7 +6,6 @@ The page's own policy forbids scripts and whatever would be loaded from elsewher
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 from collections.abc import Callable, Sequence
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.system.errors import MissingExtraError
+from planner.system.errors import require_package
 from planner.system.files import atomic, remove_unfinished
 from planner.system.results import markdown_cell, markdown_table
 from planner.system.workers import outcomes
@@ -42,8 +41,7 @@ def require(*packages: str) -> None:
     """
     style.require()
     for package in packages:
-        if importlib.util.find_spec(package) is None:
-            raise MissingExtraError("reports need", package, "study")
+        require_package("reports need", package, "study")
 
 
 @dataclass(frozen=True)
