@@ -38,7 +38,7 @@ ROOMS = {
         given_rules action_names signals""",
     "assist.person": """ties leaf_bounds behaviour evidence observation_model robots fleet travel settings
         robot_actions trust_shares pomdp each_goal assumptions visiting_robot problem_arrays people_arrays
-        random_kinds rows rounding action_values krylov belief_update sparse_iteration policy_iteration mdp_values
+        random_streams rows rounding action_values krylov belief_update sparse_iteration policy_iteration mdp_values
         problem_rows policy rows_of_people lazy_policy archive belief_filter dynamics_kernel
         dynamics joint_belief beliefs known_states uncertain_states expected_values qmdp solution_cache
         alpha_vectors upper_hull convex_bound belief_hulls vector_lists hsvi search memory_needed
@@ -375,7 +375,7 @@ def test_import_direction() -> None:
         ("assist.team.priority", "from .pool import Pool"),
         ("assist.studies.runner", "from .reports import write_report"),
         ("assist.live.session", "from ..web.client import Client"),
-        ("assist.certify.information_relaxation.belief_nodes", "from ..prices import Kind"),
+        ("assist.certify.information_relaxation.belief_nodes", "from ..prices import Group"),
     ],
 )
 def test_a_wrong_import_is_found(module: str, line: str) -> None:

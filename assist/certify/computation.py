@@ -33,7 +33,7 @@ from ..team.pool import Pool
 from .action_prices import needed, paid
 from .options import BoundOptions, Effort
 from .priced_steps import window_of
-from .prices import PersonBound, SubproblemKind, kinds_of, search
+from .prices import PersonBound, SubproblemGroup, groups_of, search
 from .visited_beliefs import BeliefRecorder
 
 
@@ -58,24 +58,24 @@ class InterruptedBound(KeyboardInterrupt):
 class Relaxation:
     """The Lagrangian relaxation of a team: its subproblems at some prices, with their solutions."""
 
-    kinds: list[SubproblemKind]
+    groups: list[SubproblemGroup]
     parts: list[tuple[AttentionSubproblem, PersonBound]]
     price: Floats
     """Prices of attention, shape (W,), or (3, W) with those of actions."""
 
     def _all(self, each: Callable[[PersonBound], float]) -> float:
-        return sum(kind.count * each(solution) for kind, (_, solution) in zip(self.kinds, self.parts, strict=True))
+        return sum(group.count * each(solution) for group, (_, solution) in zip(self.groups, self.parts, strict=True))
 
     @property
     def paid(self) -> float:
         """The discounted sum of the prices that all robots pay, in cost units."""
-        return paid(self.price, self.kinds[0].pool.setting)
+        return paid(self.price, self.groups[0].pool.setting)
 
     @property
     def upper(self) -> float:
         """The upper bound on the value of every team policy."""
         return _summed(
-            self.paid, [(kind.count, one.upper) for kind, (_, one) in zip(self.kinds, self.parts, strict=True)]
+            self.paid, [(group.count, one.upper) for group, (_, one) in zip(self.groups, self.parts, strict=True)]
         )
 
     @property
@@ -95,7 +95,7 @@ class Relaxation:
 
 
 def _summed(paid: float, bounds: Sequence[tuple[float, float]]) -> float:
-    """Return what robots pay plus the bounds of kinds of people, moved up by what rounding may take."""
+    """Return what robots pay plus the bounds of groups of people, moved up by what rounding may take."""
     terms = [paid, *(count * upper for count, upper in bounds)]
     return sum(terms) + rounding(len(terms)) * sum(map(abs, terms))
 
@@ -164,21 +164,21 @@ class Computation:
         """Whether prices need the outer relaxation, as values of some states are not kept."""
         return not all(policy.problem.whole for policy in self.policies)
 
-    def kinds(self, steps: int, with_outer: bool) -> list[SubproblemKind]:
-        """Return the kinds of subproblems with prices on some steps."""
-        return kinds_of(
+    def groups(self, steps: int, with_outer: bool) -> list[SubproblemGroup]:
+        """Return the groups of people by their subproblem, with prices on some steps."""
+        return groups_of(
             self.pool, self.team, self.travel, steps, with_outer=with_outer, memory_limit_mb=self.memory_limit_mb,
             until=self.start + 0.3 * self.for_people, tell=self.tell,
         )  # fmt: skip
 
-    def prices(self, window: int | None) -> tuple[int, list[SubproblemKind], Floats]:
+    def prices(self, window: int | None) -> tuple[int, list[SubproblemGroup], Floats]:
         """Optimise the prices on whole tasks; return the number of steps with prices, the subproblems and the prices.
 
         `window` is the requested number of steps with prices, if any.
         """
         steps = window_of(self.pool, self.team, self.seed) if window is None else whole("window", window)
-        kinds = self.kinds(steps, False)
-        return steps, kinds, self.optimised(kinds, steps, 0.4)
+        groups = self.groups(steps, False)
+        return steps, groups, self.optimised(groups, steps, 0.4)
 
     @cached_property
     def extra(self) -> Floats | None:
@@ -192,17 +192,17 @@ class Computation:
         """Return whether prices of some steps can lower the bound; otherwise robots never have to choose."""
         return steps > 0 and (len(self.team) > len(self.pool.setting.robots) or self.extra is not None)
 
-    def optimised(self, kinds: list[SubproblemKind], steps: int, share: float) -> Floats:
+    def optimised(self, groups: list[SubproblemGroup], steps: int, share: float) -> Floats:
         """Return prices that are optimised until a share of the time for people's problems has passed."""
         if not self.needs_prices(steps):
             return np.zeros(0)
         return search(
-            kinds, steps, self.options, seed=self.seed, deadline=self.start + share * self.for_people, tell=self.tell,
+            groups, steps, self.options, seed=self.seed, deadline=self.start + share * self.for_people, tell=self.tell,
             robots=len(self.pool.setting.robots), extra=self.extra,
         )  # fmt: skip
 
     def relaxed(
-        self, kinds: list[SubproblemKind], price: Floats, until: float, recorder: BeliefRecorder | None
+        self, groups: list[SubproblemGroup], price: Floats, until: float, recorder: BeliefRecorder | None
     ) -> Relaxation:
         """Return the relaxation at these prices, with bounds computed by a time on the clock.
 
@@ -212,36 +212,36 @@ class Computation:
             Ctrl-C, after some of the bounds.
         """
         parts: dict[int, tuple[AttentionSubproblem, PersonBound]] = {}
-        over, advance = Event(), adding(self.tell, "bounding people's problems", len(kinds))
+        over, advance = Event(), adding(self.tell, "bounding people's problems", len(groups))
 
         def go_on(*_: float) -> None:
             if over.is_set():
                 raise KeyboardInterrupt
 
         def one(number: int) -> None:
-            kind = kinds[number]
-            visits = kind.at(price)
-            best, memory = kind.best(visits), self.memory_limit_mb
+            group = groups[number]
+            visits = group.at(price)
+            best, memory = group.best(visits), self.memory_limit_mb
             options = None if recorder is None else SolverOptions(
-                depth=depth_within(visits.pomdp, memory), further_beliefs=recorder.of(kind.places, visits)
+                depth=depth_within(visits.pomdp, memory), further_beliefs=recorder.of(group.places, visits)
             )  # fmt: skip
-            still = math.ceil((len(kinds) - number) / self.workers)  # rounds that remain, including this one
+            still = math.ceil((len(groups) - number) / self.workers)  # rounds that remain, including this one
             share = (until - time.perf_counter()) / still
-            parts[number] = visits, kind.bound(best, lambda best: solve(
+            parts[number] = visits, group.bound(best, lambda best: solve(
                 visits.pomdp, gap=self.gap, time_limit=None if until == math.inf else max(0.0, share),
                 memory_limit_mb=memory, best=best, options=options, bounds=go_on,
             ))  # fmt: skip
             advance(1)
 
         try:
-            on_threads(one, range(len(kinds)), self.workers, over)
+            on_threads(one, range(len(groups)), self.workers, over)
         except KeyboardInterrupt as error:
             if not parts:
                 raise
             upper = _summed(paid(price, self.pool.setting), [
-                (kind.count, parts[number][1].upper if number in parts else kind.with_free_attention())
-                for number, kind in enumerate(kinds)
+                (group.count, parts[number][1].upper if number in parts else group.with_free_attention())
+                for number, group in enumerate(groups)
             ])  # fmt: skip
-            unknown = {place for number, kind in enumerate(kinds) if number not in parts for place in kind.places}
+            unknown = {place for number, group in enumerate(groups) if number not in parts for place in group.places}
             raise InterruptedBound(upper, len(self.team) - len(unknown), len(self.team), error) from error
-        return Relaxation(kinds, [parts[number] for number in range(len(kinds))], price)
+        return Relaxation(groups, [parts[number] for number in range(len(groups))], price)

@@ -100,9 +100,9 @@ class Envelope(OwnTheta):
         ValueError
             As in `ThetaReach.of`.
         """
-        kind, grid = pool.model[list(team)].tolist(), pool.policies[0].pomdp.grid
+        model, grid = pool.model[list(team)].tolist(), pool.policies[0].pomdp.grid
         seen, most = pool.setting.neighbourhood(len(team)), len(pool.setting.robots)
-        reach = ThetaReach.at(seen, places, kind, lambda number: _gains(pool.policies[number].problem), grid, most)
+        reach = ThetaReach.at(seen, places, model, lambda number: _gains(pool.policies[number].problem), grid, most)
         return OwnTheta() if reach is None else cls(reach)
 
     def outer(self, kept: bool) -> Outer:  # noqa: ARG002

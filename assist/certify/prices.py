@@ -39,7 +39,7 @@ PersonBound: TypeAlias = Solution | Lifted
 
 
 @dataclass(frozen=True)
-class SubproblemKind:
+class SubproblemGroup:
     """The people of a team who have the same attention subproblem, all with the same goal.
 
     Attributes
@@ -141,7 +141,7 @@ class SubproblemKind:
         return number.reshape(price.shape) / episodes, run.discounted_return
 
 
-def kinds_of(
+def groups_of(
     pool: Pool,
     team: tuple[int, ...],
     travel: Travel,
@@ -151,8 +151,8 @@ def kinds_of(
     memory_limit_mb: float = math.inf,
     until: float = math.inf,
     tell: Progress = lambda *_: None,
-) -> list[SubproblemKind]:
-    """Return the kinds of subproblems of a team, with prices of 0 on `window` steps.
+) -> list[SubproblemGroup]:
+    """Return the groups of a team by their subproblem, with prices of 0 on `window` steps.
 
     Truncated tasks are smaller if the time until `until`, on the clock of `time.perf_counter()`, is short. With
     `with_outer` they include the outer relaxation, unless travel takes time.
@@ -167,10 +167,10 @@ def kinds_of(
     for k, person in enumerate(team):
         members.setdefault((int(pool.model[person]), entries[k], steps[k]), []).append(k)
     given = list[tuple[TruncatedProblem, float, tuple[int, ...], float, int, OwnTheta]]()
-    for done, ((model, entry, entry_steps), of_kind) in enumerate(members.items()):
+    for done, ((model, entry, entry_steps), of_group) in enumerate(members.items()):
         tell("setting up people's problems", done, len(members))
-        room, places = memory_limit_mb / len(members), tuple(of_kind)
-        # The outer relaxations of all kinds are kept in memory, if they are included. An upper bound on a truncated
+        room, places = memory_limit_mb / len(members), tuple(of_group)
+        # The outer relaxations of all groups are kept in memory, if they are included. An upper bound on a truncated
         # problem is one on that of the whole task (`person.truncated_bound`).
         envelope = Envelope.of(pool, team, places)
         each_goal = pool.policies[model].problem.bounded(
@@ -179,7 +179,7 @@ def kinds_of(
         )  # fmt: skip
         given += [(one, chance, places, entry, entry_steps, envelope) for chance, one in each_goal]
     _require_room_for_all([one[0] for one in given], [one[4] for one in given], window, memory_limit_mb)
-    kinds = []
+    groups = []
     for one, chance, places, entry, entry_steps, envelope in given:
         # Of several robots with ways that take time, one may leave while another is on its way, so that nobody waits.
         relayed = entry_steps > 0 and len(pool.setting.robots) > 1
@@ -188,12 +188,12 @@ def kinds_of(
         tail, priced = envelope.tail(free), one.outer is None
         visits = AttentionSubproblem.of(alone, entry, entry_steps, np.zeros(window)) if priced else free
         _require_room_for(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        kinds.append(SubproblemKind(pool, visits, tail, places, one, chance, envelope))
-    return kinds
+        groups.append(SubproblemGroup(pool, visits, tail, places, one, chance, envelope))
+    return groups
 
 
 def search(
-    kinds: list[SubproblemKind],
+    groups: list[SubproblemGroup],
     window: int,
     options: BoundOptions,
     *,
@@ -207,7 +207,7 @@ def search(
 
     Parameters
     ----------
-    kinds : list of SubproblemKind
+    groups : list of SubproblemGroup
     window : int
         Number of steps with a price.
     options : BoundOptions
@@ -234,10 +234,10 @@ def search(
         tell("optimising prices", round_, rounds)
         # Every round has other random numbers, so that the prices do not overfit one sample.
         busy = np.zeros(shape)
-        for kind in kinds:
+        for group in groups:
             if time.perf_counter() > deadline:
                 break
-            busy += kind.count * kind.simulated(price, window, options.price_episodes, seed + round_)[0]
+            busy += group.count * group.simulated(price, window, options.price_episodes, seed + round_)[0]
         else:
             # The length of each step is divided by the root of the sum of squared past gradients (AdaGrad: Duchi, Hazan
             # and Singer, 2011). So a price with small gradients, where two people rarely need the robot at once, moves
@@ -275,10 +275,10 @@ def _require_room_for_all(
     _require_room_for(limit_mb, needed, len(problems), states, window)
 
 
-def _require_room_for(limit_mb: float, needed: float, kinds: int, states: int, window: int) -> None:
-    """Raise a `LimitError` if the `needed` bytes of some kinds of subproblems exceed the limit."""
+def _require_room_for(limit_mb: float, needed: float, groups: int, states: int, window: int) -> None:
+    """Raise a `LimitError` if the `needed` bytes of some subproblems exceed the limit."""
     require_room(
-        f"{kinds:,} {'problem' if kinds == 1 else 'problems'} of people, each of up to {states:,} states with "
+        f"{groups:,} {'problem' if groups == 1 else 'problems'} of people, each of up to {states:,} states with "
         f"{window} steps of prices, take", needed, limit_mb,
         "one model for all (knowledge 'exact'), prices on fewer steps (window), or a higher limit",
     )  # fmt: skip

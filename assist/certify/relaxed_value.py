@@ -9,7 +9,7 @@ import numpy as np
 from ..people.arguments import Seed, entropy, whole
 from .action_prices import paid
 from .certificate import horizon
-from .prices import kinds_of
+from .prices import groups_of
 from .team_bound import TeamBound
 
 
@@ -32,9 +32,9 @@ def relaxed_value(bound: TeamBound, *, episodes: int = 20_000, seed: Seed = 0) -
     gamma = bound.pool.setting.gamma
     price = bound.price if bound.on_actions is None else np.vstack([bound.price, bound.on_actions])
     total, variance = paid(price, bound.pool.setting), 0.0
-    kinds = kinds_of(bound.pool, bound.team, bound.travel, len(bound.price))
-    for number, kind in enumerate(kinds):  # independent random numbers, so that variances add up
-        value = kind.simulated(price, horizon(gamma), episodes, seed_number + number)[1]
-        total += kind.count * float(value.mean())
-        variance += kind.count**2 * float(value.var(ddof=1)) / episodes
+    groups = groups_of(bound.pool, bound.team, bound.travel, len(bound.price))
+    for number, group in enumerate(groups):  # independent random numbers, so that variances add up
+        value = group.simulated(price, horizon(gamma), episodes, seed_number + number)[1]
+        total += group.count * float(value.mean())
+        variance += group.count**2 * float(value.var(ddof=1)) / episodes
     return total, math.sqrt(variance)

@@ -14,11 +14,11 @@ from .computation import Computation, Relaxation
 from .information_relaxation.belief_nodes import BeliefNodes
 from .information_relaxation.confidence import SampledBound
 from .information_relaxation.sampled_bound import InformationRelaxation
-from .prices import SubproblemKind
+from .prices import SubproblemGroup
 from .visited_beliefs import BeliefRecorder
 
 
-def recorder(run: Computation, kinds: list[SubproblemKind], price: Floats, together: int) -> BeliefRecorder:
+def recorder(run: Computation, groups: list[SubproblemGroup], price: Floats, together: int) -> BeliefRecorder:
     """Simulate the priority policy at these prices, and return the recorder of visited beliefs.
 
     A robot with one person rarely leaves them alone for long, so that the solver rarely visits beliefs that arise then.
@@ -27,7 +27,7 @@ def recorder(run: Computation, kinds: list[SubproblemKind], price: Floats, toget
     """
     priority = Priority.of(run.policies, run.travel, price if len(price) else None)
     meeting = BeliefRecorder(priority, len(run.team), together + run.options.relaxation.free_steps)
-    each = math.ceil(run.options.belief_episodes / max(len(kind.places) for kind in kinds))
+    each = math.ceil(run.options.belief_episodes / max(len(group.places) for group in groups))
     returns(run.pool, meeting, run.team, run.travel, episodes=each, seed=run.seed)
     return meeting
 
@@ -39,9 +39,9 @@ def without_prices(run: Computation, relaxed: Relaxation, recorder: BeliefRecord
     """
     if relaxed.done or not len(relaxed.price):
         return relaxed
-    kinds, begun = run.kinds(0, True), time.perf_counter()
+    groups, begun = run.groups(0, True), time.perf_counter()
     until = begun + 0.3 * (run.start + run.limit - begun)
-    free = run.relaxed(kinds, relaxed.price[:0], until, recorder)
+    free = run.relaxed(groups, relaxed.price[:0], until, recorder)
     return min(relaxed, free, key=lambda one: one.upper)
 
 
@@ -63,11 +63,10 @@ def sampled(run: Computation, relaxed: Relaxation, together: int) -> SampledBoun
 
 
 def _belief_nodes(relaxed: Relaxation) -> list[BeliefNodes]:
-    """Return the belief nodes of each person; people of one kind share them."""
+    """Return the belief nodes of each person; people of one group share them."""
     # The outer relaxation neglects travel time, so that it does not apply if travel takes time.
-    outers = [
-        kind.problem.outer if not len(relaxed.price) and not kind.visits.entry_steps else None for kind in relaxed.kinds
-    ]
+    free = not len(relaxed.price)
+    outers = [group.problem.outer if free and not group.visits.entry_steps else None for group in relaxed.groups]
     parts = [(visits, solution) for visits, solution in relaxed.parts if isinstance(solution, Solution)]
     belief_nodes = [BeliefNodes(*part, outer) for part, outer in zip(parts, outers, strict=True)]
-    return [one for kind, one in zip(relaxed.kinds, belief_nodes, strict=True) for _ in range(len(kind.places))]
+    return [one for group, one in zip(relaxed.groups, belief_nodes, strict=True) for _ in range(len(group.places))]

@@ -67,7 +67,7 @@ from .computation import Computation, InterruptedBound
 from .envelope import require_envelope
 from .information_relaxation.confidence import SampledBound
 from .options import Effort
-from .prices import kinds_of
+from .prices import groups_of
 from .truncated_prices import truncated_prices
 
 
@@ -205,9 +205,9 @@ def upper_bound(
     if paths:
         pool.choices(members[0]).require_one_goal("the bound from sample paths")
     require_envelope(pool, members, paths)
-    together, kinds, price = truncated_prices(run, window) if run.needs_outer else run.prices(window)
-    recorder = sample_paths.recorder(run, kinds, price, together) if run.paths and not run.needs_outer else None
-    relaxed, sampled = run.relaxed(kinds, price, run.start + run.for_people, recorder), None
+    together, groups, price = truncated_prices(run, window) if run.needs_outer else run.prices(window)
+    recorder = sample_paths.recorder(run, groups, price, together) if run.paths and not run.needs_outer else None
+    relaxed, sampled = run.relaxed(groups, price, run.start + run.for_people, recorder), None
     try:
         if run.paths and len(members) > len(pool.setting.robots):  # otherwise no robot ever has to choose
             relaxed = sample_paths.without_prices(run, relaxed, recorder)
@@ -227,7 +227,7 @@ def free_attention_bound(pool: Pool, team: tuple[int, ...], travel: Travel) -> f
 
     It needs no search, so that it is there in a second on a task of some hundred states.
     """
-    return sum(kind.count * kind.with_free_attention() for kind in kinds_of(pool, team, travel, 0))
+    return sum(group.count * group.with_free_attention() for group in groups_of(pool, team, travel, 0))
 
 
 def members_of(pool: Pool, team: Sequence[int] | Sequence[str] | None) -> tuple[int, ...]:

@@ -94,10 +94,10 @@ def each_once(who: Ints, gain: Floats, followed: Bools, weight: Floats) -> tuple
     """
     gains, of_gain = np.unique(gain, return_inverse=True)
     weights, of_weight = np.unique(weight, return_inverse=True)
-    kinds = len(gains) * 2 * len(weights)
-    key, inverse = np.unique(who * kinds + (of_gain * 2 + followed) * len(weights) + of_weight, return_inverse=True)
-    who, kind = np.divmod(key, kinds)
-    event, of_weight = np.divmod(kind, len(weights))
+    count = len(gains) * 2 * len(weights)
+    key, inverse = np.unique(who * count + (of_gain * 2 + followed) * len(weights) + of_weight, return_inverse=True)
+    who, which = np.divmod(key, count)
+    event, of_weight = np.divmod(which, len(weights))
     each = SeenEvent(gains[event // 2][:, None], (event % 2 == 1)[:, None], weights[of_weight][:, None])
     return who, each, inverse.reshape(-1)
 

@@ -84,8 +84,8 @@ class ThetaReach:
 
     @classmethod
     def at(
-        cls, seen: Neighbourhood, places: Iterable[int], kind: Sequence[int], gains: Callable[[int], Range], grid: Grid,
-        most: int,
+        cls, seen: Neighbourhood, places: Iterable[int], model: Sequence[int], gains: Callable[[int], Range],
+        grid: Grid, most: int,
     ) -> Self | None:  # fmt: skip
         """Return how far theta of people at some places comes; None if they see nobody.
 
@@ -93,7 +93,7 @@ class ThetaReach:
         ----------
         seen : Neighbourhood
         places : iterable of int
-        kind : sequence of int
+        model : sequence of int
             The model of the person at each place of the team.
         gains : callable
             Returns the range of gains of people of a model, who may get a suggestion (`range_of_gains`).
@@ -108,8 +108,8 @@ class ThetaReach:
         weights: dict[int, float] = {}
         for k in places:
             for j, weight in seen.seen_from(k).items():
-                weights[kind[j]] = max(weights.get(kind[j], 0.0), weight)
-        events = [(gains(model), weight) for model, weight in sorted(weights.items())]
+                weights[model[j]] = max(weights.get(model[j], 0.0), weight)
+        events = [(gains(one), weight) for one, weight in sorted(weights.items())]
         return cls.of(seen.rule, grid, events, most) if events else None
 
     def lifted(self, value: Floats, events: int) -> Floats:

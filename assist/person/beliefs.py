@@ -96,7 +96,7 @@ class Beliefs(Protocol):
             What the robot meant to say: a robot action in the most probable state.
         groups : iterable of pairs of PersonModel and int array
         draw : callable
-            Returns uniform numbers, shape (P,), of a kind of `CommonRandomNumbers`.
+            Returns uniform numbers, shape (P,), of a `Stream`.
         """
         ...
 

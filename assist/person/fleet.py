@@ -90,10 +90,10 @@ class Fleet:
 
         The mark `Best` of each field says how the best value is made of those of the robots.
         """
-        kind = type(self.robots[0])
-        return kind(**{
-            name: _best(kind, name).of(self.with_effect(name) or [getattr(robot, name) for robot in self.robots])
-            for name in names_of(kind)
+        cls = type(self.robots[0])
+        return cls(**{
+            name: _best(cls, name).of(self.with_effect(name) or [getattr(robot, name) for robot in self.robots])
+            for name in names_of(cls)
         })  # fmt: skip
 
     @cached_property
@@ -145,7 +145,7 @@ class Fleet:
         return np.where(executes, self.extra[robot, EXECUTION], self.extra[robot, SUGGESTION])
 
 
-def _best(kind: type[Robot], name: str) -> Best:
+def _best(cls: type[Robot], name: str) -> Best:
     """Return the mark of a field of robots.
 
     Raises
@@ -153,10 +153,10 @@ def _best(kind: type[Robot], name: str) -> Best:
     ValueError
         It has none.
     """
-    found = next((one for one in marks(annotation_of(kind, name)) if isinstance(one, Best)), None)
+    found = next((one for one in marks(annotation_of(cls, name)) if isinstance(one, Best)), None)
     if found is None:
         raise ValueError(
-            f"{kind.__name__}.{name}: expected a mark in its annotation that says what the best of several robots has, "
+            f"{cls.__name__}.{name}: expected a mark in its annotation that says what the best of several robots has, "
             "such as Best(min)"
         )
     return found

@@ -22,7 +22,7 @@ from .observation_model import ObservationModel
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import Acts
-from .random_kinds import Kind
+from .random_streams import Stream
 
 
 class UncertainStates(KnownStates):
@@ -56,7 +56,7 @@ class UncertainStates(KnownStates):
 
     def observe(self, acts: Acts, said: Ints, groups: Groups, draw: Callable[[int], Floats]) -> None:
         """Update the beliefs in those who go on, as in `Beliefs`; the robot sees who has reached their goal."""
-        uniform = np.stack([draw(Kind.MISSED), draw(Kind.TAKEN_FOR)], axis=1)
+        uniform = np.stack([draw(Stream.MISSED), draw(Stream.TAKEN_FOR)], axis=1)
         for model, theirs in groups:
             people = theirs[(acts.slot[theirs] >= 0) & acts.goes_on[theirs]]
             words = np.take_along_axis(said_in(model.pomdp, self.x[people]), said[people, None], axis=1)[:, 0]

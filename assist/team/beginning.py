@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP
-from ..person.random_kinds import Kind
+from ..person.random_streams import Stream
 from .model_group import Ints, ModelGroup
 from .pool import Pool
 
@@ -83,14 +83,14 @@ class Beginnings:
         people : int array
             Their numbers in the pool.
         draw : callable
-            Returns uniform numbers, in the shape of `people`, of a kind of `CommonRandomNumbers`. They draw people's
+            Returns uniform numbers, in the shape of `people`, of a `Stream`. They draw people's
             goals or, in the world "model", their types and theta from the prior.
         """
         model = self._model[people]
         if self._world == "model":
-            goal, who, beta, theta = from_the_prior(self._pomdps, model, draw(Kind.TYPE))
+            goal, who, beta, theta = from_the_prior(self._pomdps, model, draw(Stream.TYPE))
         else:
-            goal = drawn_goals(self._goals, model, draw(Kind.GOAL))
+            goal = drawn_goals(self._goals, model, draw(Stream.GOAL))
             who, beta, theta = self._first[people] + goal, self._beta[people], self._theta[people]
         return Beginning(model, who, goal, beta, theta, self._initial[model], self._finished[people])
 

@@ -30,7 +30,7 @@ from ..people.decision import NOTHING, Floats
 from ..person.beliefs import Beliefs
 from ..person.people_arrays import PeopleArrays
 from ..person.problem_arrays import Acts
-from ..person.random_kinds import Kind
+from ..person.random_streams import Stream
 from ..person.robots import NOTHING_DONE
 from ..person.rows_of_people import by_model
 from .people_at_work import PeopleAtWork
@@ -184,7 +184,7 @@ class Engine:
         """
         now, (N, K), found = self.now, self.people.goal.shape, list[tuple[Asked, bool]]()
         asked = questions.of_teams(self.beliefs, now.active, self.tasks.model, len(self.robots.fleet))
-        uniform = self._uniform(Kind.ANSWER).reshape(N, K) if questions.error else np.ones((N, K))
+        uniform = self._uniform(Stream.ANSWER).reshape(N, K) if questions.error else np.ones((N, K))
         for one in asked:
             yes = one.question.answer(int(self.people.goal[one.team, one.person]), uniform[one.team, one.person])
             policy = self.tasks.policies[self.tasks.model[one.team, one.person]]
@@ -211,8 +211,8 @@ class Engine:
         ).reshape(said.shape)
         groups = self.tasks.groups
         before, theta, uniform = them.row.copy(), them.theta.copy(), np.empty((*said.shape, 2))
-        for column, kind in enumerate((Kind.CHOICE, Kind.THETA) if them.on_grid else (Kind.CHOICE,)):
-            uniform[now.running, :, column] = them.draws.draw(kind, now.running)
+        for column, stream in enumerate((Stream.CHOICE, Stream.THETA) if them.on_grid else (Stream.CHOICE,)):
+            uniform[now.running, :, column] = them.draws.draw(stream, now.running)
         arrays = PeopleArrays.of_teams(them.row, heard, self.tasks.who, them.theta, them.outcomes, uniform)
         situation, finished = them.situation.reshape(-1), them.finished.reshape(-1)
         for number, flat in now.by_policy:
@@ -271,8 +271,8 @@ class Engine:
             cost = tasks.groups[number].arrays.robot_costs[x[there], 0]
             np.add.at(self._charged, there, cost + robots.fleet.extra[robot[those], NOTHING_DONE])
 
-    def _uniform(self, kind: int) -> Floats:
-        """Return uniform numbers of a kind for all people, 0 in teams that do not run any more."""
+    def _uniform(self, stream: int) -> Floats:
+        """Return uniform numbers of a stream for all people, 0 in teams that do not run any more."""
         uniform = np.zeros(self.people.situation.shape)
-        uniform[self.now.running] = self.people.draws.draw(kind, self.now.running)
+        uniform[self.now.running] = self.people.draws.draw(stream, self.now.running)
         return uniform.reshape(-1)

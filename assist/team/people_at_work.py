@@ -17,8 +17,8 @@ Ints = NDArray[np.int64]
 class Draws(Protocol):
     """The random numbers of the episodes of teams."""
 
-    def draw(self, kind: int, teams: Ints) -> Floats:
-        """Return uniform numbers of a kind for some teams, shape (m, K); `CommonRandomNumbers.draw` has the kinds."""
+    def draw(self, stream: int, teams: Ints) -> Floats:
+        """Return uniform numbers of a stream for some teams, shape (m, K); `Stream` names them."""
         ...
 
 

@@ -135,7 +135,7 @@ class Requested:
 
 
 def require_possible(pool: Pool, world: World, goals: GoalKnowledge) -> None:
-    """Raise an error if people and robot of these kinds cannot be simulated."""
+    """Raise an error if such people and robots cannot be simulated."""
     one_of("world", world, get_args(World))
     if goals not in get_args(GoalKnowledge):
         raise ValueError(f"goals {goals!r}: expected {', '.join(map(repr, get_args(GoalKnowledge)))}")

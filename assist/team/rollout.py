@@ -209,13 +209,13 @@ class PathNumbers:
         self._rng, self._pairs, self._shape = rng, pairs, shape
         self._drawn = np.empty(0)
 
-    def draw(self, kind: int, teams: Ints) -> Floats:
+    def draw(self, stream: int, teams: Ints) -> Floats:
         """Return uniform numbers for some paths: for choices (1), drawn with those for theta (2), or for others."""
-        if kind > 2:
+        if stream > 2:
             return self._rng.random(self._shape)[teams % self._shape[0]]
-        if kind == 1:
+        if stream == 1:
             self._drawn = self._rng.random((*self._shape, 2))
-        return self._drawn[teams % len(self._drawn), :, kind - 1]
+        return self._drawn[teams % len(self._drawn), :, stream - 1]
 
 
 class _Paths:

@@ -97,7 +97,7 @@ class Simulation:
         # It is in C order, and all arrays derived from it are, too. They are changed in place through flat views.
         people = np.ascontiguousarray(draws.team(len(pool.people)) if wanted.teams is None else wanted.teams[part])
         every = np.arange(len(numbers))
-        began = self.beginnings.of(people, lambda kind: draws.draw(kind, every))
+        began = self.beginnings.of(people, lambda stream: draws.draw(stream, every))
         uses_beliefs = getattr(self.policy, "uses_belief", True)
         engine = self.begin(people, began, draws, beliefs=uses_beliefs or keeps_beliefs)
         first_theta, tally = engine.people.theta.copy(), Tally(people.shape, pool.setting.gamma)

@@ -12,7 +12,7 @@ from ..people.neighbourhood import Helped, seen_gain
 from ..person.beliefs import Beliefs, PersonModel
 from ..person.policy import Policy
 from ..person.problem_arrays import Acts
-from ..person.random_kinds import Kind
+from ..person.random_streams import Stream
 from .people_at_work import PeopleAtWork
 
 Ints = NDArray[np.int64]
@@ -36,12 +36,12 @@ def let_see(
     models : iterable of pairs of PersonModel and int array
         Models, with the people at work who have each, as indices of the flattened arrays; all have one grid.
     draw : callable
-        Returns uniform numbers, shape (N * K,), of a kind of `CommonRandomNumbers`.
+        Returns uniform numbers, shape (N * K,), of a `Stream`.
     """
     shape, neighbours = them.theta.shape, beliefs.neighbours
     shown = neighbours.told(acts.heard.reshape(shape))
     # In each step, whoever is shown something: an episode's numbers do not depend on the others that are simulated.
-    uniform = draw(Kind.NEIGHBOURS) if them.on_grid and len(neighbours.sees) else None
+    uniform = draw(Stream.NEIGHBOURS) if them.on_grid and len(neighbours.sees) else None
     if not shown.any():
         return
     gain, (told, follows, there) = np.zeros(len(after)), np.zeros((3, len(after)), dtype=bool)

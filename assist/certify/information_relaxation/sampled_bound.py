@@ -116,13 +116,13 @@ class InformationRelaxation:
         self.steps = max(steps, len(price) + options.free_steps)
         self.price = np.append(price, np.zeros(self.steps + 1 - len(price)))
         self.scale = Scale.of(self.price[: min(self.steps, options.congestion_steps)], gamma, unit, options, robots)
-        kinds = {id(one): Congestion(one, self.scale, self._go_on, options.rows_per_check) for one in belief_nodes}
-        self.kinds, self.people = list(kinds.values()), [kinds[id(one)] for one in belief_nodes]
+        distinct = {id(one): Congestion(one, self.scale, self._go_on, options.rows_per_check) for one in belief_nodes}
+        self.distinct, self.people = list(distinct.values()), [distinct[id(one)] for one in belief_nodes]
         self.robots = robots
         self.discount: Floats = np.power(gamma, np.arange(self.steps + 1))
         # All prices are paid, including those of steps whose conflicts do not count in U.
         self.value = robots * float(self.price @ self.discount) + sum(one.value for one in belief_nodes)
-        roots = dict(zip(kinds, self._each(Congestion.at_root, self.kinds), strict=True))
+        roots = dict(zip(distinct, self._each(Congestion.at_root, self.distinct), strict=True))
         self.lost = lost(0, np.array([roots[id(one)] for one in belief_nodes]), self.scale)
 
     def _each(self, do: Callable[[S], T], those: Iterable[S]) -> list[T]:
@@ -137,12 +137,12 @@ class InformationRelaxation:
         """Draw sample paths, one with each generator."""
         uniforms = [rng.random((len(self.people), self.steps + 1)) for rng in generators]
 
-        def of(kind: Congestion) -> list[list[tuple[SampleGraph, AttentionDemand]]]:
-            own = [numbers_of_path[[person is kind for person in self.people]] for numbers_of_path in uniforms]
-            graphs = [[kind.belief_nodes.graph(one) for one in numbers_of_path] for numbers_of_path in own]
-            return [[(graph, kind.of(graph)) for graph in of_path] for of_path in graphs]
+        def of(which: Congestion) -> list[list[tuple[SampleGraph, AttentionDemand]]]:
+            own = [numbers_of_path[[person is which for person in self.people]] for numbers_of_path in uniforms]
+            graphs = [[which.belief_nodes.graph(one) for one in numbers_of_path] for numbers_of_path in own]
+            return [[(graph, which.of(graph)) for graph in of_path] for of_path in graphs]
 
-        found = dict(zip(map(id, self.kinds), self._each(of, self.kinds), strict=True))
+        found = dict(zip(map(id, self.distinct), self._each(of, self.distinct), strict=True))
         return [
             SamplePath.of([found[id(person)][number].pop(0) for person in self.people])
             for number in range(len(uniforms))
@@ -184,8 +184,8 @@ class InformationRelaxation:
             self.done = len(pilot) + len(found)
         return SampledBound.of(found, len(found), alpha)
 
-    def _draw(self, seed: int, kind: int, numbers: Sequence[int]) -> list[SamplePath]:
-        seeds = [np.random.SeedSequence(seed, spawn_key=(4, kind, number)) for number in numbers]
+    def _draw(self, seed: int, purpose: int, numbers: Sequence[int]) -> list[SamplePath]:
+        seeds = [np.random.SeedSequence(seed, spawn_key=(4, purpose, number)) for number in numbers]
         return self.paths([np.random.default_rng(one) for one in seeds])
 
     def _bounds(self, paths: Sequence[SamplePath], alpha: float) -> list[float]:

@@ -13,7 +13,7 @@ from test_attention_subproblem import values
 from test_goal_bounds import ring
 
 from assist.certify.priced_steps import window_of
-from assist.certify.prices import SubproblemKind, kinds_of
+from assist.certify.prices import SubproblemGroup, groups_of
 from assist.people.choices import Choices
 from assist.people.ranges import Population
 from assist.person.attention_subproblem import AttentionSubproblem
@@ -32,10 +32,10 @@ def pool_of(ways: list[tuple[int, int, int]], start: int, size: int = 2, **peopl
     return Pool.sample(choices, size, seed=1, setting=SETTING, **people)
 
 
-def only_kind(pool: Pool, window: int, time: float = 0.0, **options: Any) -> SubproblemKind:
+def only_group(pool: Pool, window: int, time: float = 0.0, **options: Any) -> SubproblemGroup:
     team, pool = tuple(range(len(pool.people))), replace(pool, setting=replace(pool.setting, travel_time=time))
-    (kind,) = kinds_of(pool, team, pool.setting.travel(len(team)), window, **options)
-    return kind
+    (group,) = groups_of(pool, team, pool.setting.travel(len(team)), window, **options)
+    return group
 
 
 def test_attention_to_people_who_do_what_they_are_told() -> None:
@@ -48,83 +48,83 @@ def test_attention_to_people_who_do_what_they_are_told() -> None:
     pool = pool_of(ways, 5, population=never, prior=follow)
     cost, gamma = np.ones(5), 0.9 ** np.arange(8)
     for time, attended in ((0.0, [0, 0, 0, 1, 1, 0, 0]), (2.0, [0, 1, 1, 1, 1, 0, 0])):
-        kind = only_kind(pool, 7, time)
-        assert (kind.places, kind.count, kind.problem.outer, kind.problem.between) == ((0, 1), 2, None, None)
-        assert kind.visits.price.tolist() == [0] * 7
-        number, found = kind.simulated(np.zeros(7), 8, 5, 0)
+        group = only_group(pool, 7, time)
+        assert (group.places, group.count, group.problem.outer, group.problem.between) == ((0, 1), 2, None, None)
+        assert group.visits.price.tolist() == [0] * 7
+        number, found = group.simulated(np.zeros(7), 8, 5, 0)
         assert number.tolist() == attended
         paid = 0.02 * gamma[attended.index(1)] + 0.01 * (gamma[3] + gamma[4])
         np.testing.assert_allclose(found, [-(cost @ gamma[:5]) - paid] * 5)
-        shorter = kind.at(np.array([0.25, 0.5]))
+        shorter = group.at(np.array([0.25, 0.5]))
         assert shorter.price.tolist() == [0.25, 0.5]
         assert shorter.layout.step.max() == 2
         # A price is paid at its step: here the suggestions are worth it, and the way is not the cheaper for it.
         price = np.array([0.0, 0.0, 0.0, 0.25, 0.5, 0.0, 0.0])
-        number, dearer = kind.simulated(price, 8, 5, 0)
+        number, dearer = group.simulated(price, 8, 5, 0)
         assert number.tolist() == attended
         np.testing.assert_allclose(found - dearer, 0.25 * gamma[3] + 0.5 * gamma[4])
-        assert kind.simulated(price, 4, 5, 0)[1] == pytest.approx(
+        assert group.simulated(price, 4, 5, 0)[1] == pytest.approx(
             -gamma[:4].sum() - paid + 0.01 * gamma[4] - 0.25 * gamma[3]
         )
         free = qmdp(AttentionSubproblem.of(pool.policies[0].pomdp, 0.02, int(time)).pomdp, tolerance=1e-12).value_mdp
-        np.testing.assert_allclose(kind.tail, free, atol=1e-5)
-        assert (kind.tail >= free - 1e-9).all()
-        left = kind.simulated(np.array([0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0]), 8, 5, 0)[0]
+        np.testing.assert_allclose(group.tail, free, atol=1e-5)
+        assert (group.tail >= free - 1e-9).all()
+        left = group.simulated(np.array([0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0]), 8, 5, 0)[0]
         assert left.tolist()[:5] == [*attended[:4], 0]  # the robot leaves before the price
-    assert kind.simulated(np.full(7, 9.0), 3, 5, 0)[0].tolist() == [0] * 7
+    assert group.simulated(np.full(7, 9.0), 3, 5, 0)[0].tolist() == [0] * 7
 
 
 def test_episodes_differ_by_their_seed() -> None:
-    kind = only_kind(pool_of([(2, 1, 1), (1, 0, 1), (1, 2, 1)], 2, population=Population(beta=(0.1, 0.5))), 3)
-    one, same, other = (kind.simulated(np.full(3, 0.1), 9, 20, seed)[1].tolist() for seed in (1, 1, 2))
+    group = only_group(pool_of([(2, 1, 1), (1, 0, 1), (1, 2, 1)], 2, population=Population(beta=(0.1, 0.5))), 3)
+    one, same, other = (group.simulated(np.full(3, 0.1), 9, 20, seed)[1].tolist() for seed in (1, 1, 2))
     assert one == same != other
     assert len(one) == 20
 
 
 def test_people_with_several_goals_count_by_the_chance_of_each() -> None:
     pool = Pool.sample(ring(), 3, seed=1, setting=SETTING)
-    kinds = kinds_of(pool, (0, 1, 2), pool.setting.travel(3), 0)
-    assert [kind.count for kind in kinds] == pytest.approx([1.5, 0.9, 0.6])
-    assert all(kind.places == (0, 1, 2) for kind in kinds)
+    groups = groups_of(pool, (0, 1, 2), pool.setting.travel(3), 0)
+    assert [group.count for group in groups] == pytest.approx([1.5, 0.9, 0.6])
+    assert all(group.places == (0, 1, 2) for group in groups)
 
 
 @pytest.fixture(scope="module")
-def truncated() -> SubproblemKind:
+def truncated() -> SubproblemGroup:
     """The kind of people on a task of which six states are enumerated, within the whole one."""
     pool = Pool.sample(kit("tiny"), 2, seed=1, states=1, region=6, setting=replace(SETTING, c_suggest=0.1))
-    return only_kind(pool, 3, with_outer=True)
+    return only_group(pool, 3, with_outer=True)
 
 
-def test_prices_on_a_truncated_task(truncated: SubproblemKind) -> None:
-    kind, price = truncated, np.array([1.0, 0.5, 0.2])
-    assert (kind.count, len(kind.visits.price)) == (2, 0)
-    assert kind.problem.outer is not None
-    kind = replace(kind, problem=replace(kind.problem, pairs=3))
-    visits = kind.at(price)
-    kept = likely(kind.visits.alone, 3, 3)
-    plain = AttentionSubproblem.of(kind.visits.alone, kind.visits.entry, kind.visits.entry_steps, price, kept=kept)
-    for found, same in ((visits, plain), (kind.at(np.zeros(0)), kind.visits)):
+def test_prices_on_a_truncated_task(truncated: SubproblemGroup) -> None:
+    group, price = truncated, np.array([1.0, 0.5, 0.2])
+    assert (group.count, len(group.visits.price)) == (2, 0)
+    assert group.problem.outer is not None
+    group = replace(group, problem=replace(group.problem, pairs=3))
+    visits = group.at(price)
+    kept = likely(group.visits.alone, 3, 3)
+    plain = AttentionSubproblem.of(group.visits.alone, group.visits.entry, group.visits.entry_steps, price, kept=kept)
+    for found, same in ((visits, plain), (group.at(np.zeros(0)), group.visits)):
         np.testing.assert_array_equal(found.layout.x, same.layout.x)
         np.testing.assert_array_equal(found.pomdp.robot_costs, same.pomdp.robot_costs)
-    free = kind.at(np.zeros(0)).pomdp.frontier
+    free = group.at(np.zeros(0)).pomdp.frontier
     assert free is not None
-    assert kind.visits.pomdp.frontier is not None
-    np.testing.assert_array_equal(free.upper, kind.visits.pomdp.frontier.upper)
+    assert group.visits.pomdp.frontier is not None
+    np.testing.assert_array_equal(free.upper, group.visits.pomdp.frontier.upper)
     assert visits.pomdp.frontier is not None
-    expected = kind.problem.outer.beyond(plain, kind.tail).pomdp.frontier
+    expected = group.problem.outer.beyond(plain, group.tail).pomdp.frontier
     assert expected is not None
     np.testing.assert_array_equal(visits.pomdp.frontier.upper, expected.upper)
 
 
-def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemKind) -> None:
+def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemGroup) -> None:
     """It does so at the price of its step, to values with the prices of all later steps."""
-    kind, price = truncated, np.array([1.0, 0.5, 0.2])
-    assert kind.problem.between is not None
-    visits, policy = kind._with_policy(price)
-    assert visits is kind.problem.between.visits
-    after, pomdp = [kind.problem.between.value], visits.pomdp
+    group, price = truncated, np.array([1.0, 0.5, 0.2])
+    assert group.problem.between is not None
+    visits, policy = group._with_policy(price)
+    assert visits is group.problem.between.visits
+    after, pomdp = [group.problem.between.value], visits.pomdp
     for step in (2, 1, 0):
-        after.insert(0, np.minimum(values(visits.at_price(price[step]), after[0]), kind.problem.between.value))
+        after.insert(0, np.minimum(values(visits.at_price(price[step]), after[0]), group.problem.between.value))
     x = np.flatnonzero(~pomdp.ends)
     belief = np.broadcast_to(pomdp.prior, (len(x), *pomdp.prior.shape))
     for step in range(6):
@@ -139,7 +139,7 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemKi
         np.testing.assert_allclose(best, q.max(axis=1), atol=1e-9)
         found = policy(step, x).q_values(x, belief)
         np.testing.assert_allclose(found[np.isfinite(q)], q[np.isfinite(q)], atol=1e-9)
-    number, _ = kind.simulated(np.array([9.0, 9.0, 0.0]), 8, 50, 0)
+    number, _ = group.simulated(np.array([9.0, 9.0, 0.0]), 8, 50, 0)
     assert number[:2].tolist() == [0, 0]
     assert 0 < number[2] <= 1
 

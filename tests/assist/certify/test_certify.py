@@ -19,7 +19,7 @@ from assist.certify import certificate, comparison, prices, team_bound
 from assist.certify.certificate import Certificate, horizon, returns
 from assist.certify.information_relaxation.options import RelaxationOptions
 from assist.certify.options import BoundOptions
-from assist.certify.prices import SubproblemKind, kinds_of, search
+from assist.certify.prices import SubproblemGroup, groups_of, search
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound
 from assist.people.choices import Choices
@@ -166,17 +166,19 @@ class Attended:
         return self.share, None
 
 
-def looked_for(*kinds: Attended, rounds: float = math.inf, most: int = 40, told: list[int] | None = None) -> np.ndarray:
+def looked_for(
+    *groups: Attended, rounds: float = math.inf, most: int = 40, told: list[int] | None = None
+) -> np.ndarray:
     """Return prices of two steps, with a clock that advances by a round whenever the first kind is simulated.
 
     Append the rounds that are reported to `told`.
     """
     tell = [] if told is None else told
-    clock = SimpleNamespace(perf_counter=lambda: kinds[0].asked)
+    clock = SimpleNamespace(perf_counter=lambda: groups[0].asked)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prices, "time", clock)
         return search(
-            list(kinds), 2, BoundOptions(most, 100), seed=3, deadline=rounds - 0.5,  # type: ignore[arg-type]
+            list(groups), 2, BoundOptions(most, 100), seed=3, deadline=rounds - 0.5,  # type: ignore[arg-type]
             tell=lambda _, done, __: tell.append(done),
         )  # fmt: skip
 
@@ -225,15 +227,15 @@ def test_steps_are_relative_to_the_number_of_busy_robots_and_to_past_ones() -> N
 
 def test_people_at_the_edges_of_prices(strangers: Pool) -> None:
     """At price 0, attention has the same value at every step; at a very high price, no person is attended to."""
-    (kind,) = kinds_of(strangers, (0, 1, 2), SETTING.travel(3), 3)
-    layout, found = kind.visits.layout, kind.best(kind.visits)
-    always = kind.tail[layout.position * layout.states + layout.x]
+    (group,) = groups_of(strangers, (0, 1, 2), SETTING.travel(3), 3)
+    layout, found = group.visits.layout, group.best(group.visits)
+    always = group.tail[layout.position * layout.states + layout.x]
     np.testing.assert_allclose(found.value_mdp, always, atol=1e-3)
     assert np.ptp(always) > 1
-    shares, values = kind.simulated(np.full(3, 1e6), 4, 50, 0)
+    shares, values = group.simulated(np.full(3, 1e6), 4, 50, 0)
     assert shares.tolist() == [0, 0, 0]
     assert (values > -100).all()
-    assert kind.simulated(np.zeros(3), 4, 50, 0)[0][0] > 0
+    assert group.simulated(np.zeros(3), 4, 50, 0)[0][0] > 0
 
 
 def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Choices) -> None:
@@ -242,10 +244,10 @@ def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Ch
     states = len(TimeExpansion.of(alone, 2, 3))
     one = policy_bytes(states, slots=choices.applicable.shape[1], actions=1 + alone.suggested.shape[1]) / 1e6
     with pytest.raises(LimitError, match=rf"^2 problems of people, each of up to {states} states with 3 steps"):
-        kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=0.999 * 3 * one)
+        groups_of(pool, (0, 1), travel, 3, memory_limit_mb=0.999 * 3 * one)
     with pytest.raises(LimitError, match=r"^1 problem of people"):  # what its first bounds take, which is more
-        kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=1.001 * 3 * one)
-    assert len(kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=100.0)) == 2
+        groups_of(pool, (0, 1), travel, 3, memory_limit_mb=1.001 * 3 * one)
+    assert len(groups_of(pool, (0, 1), travel, 3, memory_limit_mb=100.0)) == 2
     with pytest.raises(LimitError, match=r"^2 problems of people"):
         upper_bound(pool, window=3, memory_limit_mb=0.01)
 
@@ -364,9 +366,9 @@ def test_a_robot_for_each_person_of_a_kind(pool: Pool) -> None:
     """Means and variances add up, since people's random numbers are independent."""
     found = upper_bound(pool, (0, 0, 1), window=3, gap=1e-6)
     mean, error = relaxed_value(found, episodes=400, seed=5)
-    kinds: list[SubproblemKind] = kinds_of(pool, found.team, found.travel, len(found.price))
-    assert [kind.count for kind in kinds] == [2, 1]
-    values = [kind.simulated(found.price, horizon(0.5), 400, 5 + number)[1] for number, kind in enumerate(kinds)]
+    groups: list[SubproblemGroup] = groups_of(pool, found.team, found.travel, len(found.price))
+    assert [group.count for group in groups] == [2, 1]
+    values = [group.simulated(found.price, horizon(0.5), 400, 5 + number)[1] for number, group in enumerate(groups)]
     paid = sum(price * 0.5**step for step, price in enumerate(found.price))
     assert mean == pytest.approx(2 * values[0].mean() + values[1].mean() + paid)
     assert error == pytest.approx(math.sqrt((4 * values[0].var(ddof=1) + values[1].var(ddof=1)) / 400))
@@ -386,8 +388,8 @@ def test_each_robot_of_the_relaxed_problem_is_paid_the_discounted_prices(pool: P
     price = np.array([0.3, 0.2, 0.1])
     several = replace(pool, setting=replace(pool.setting, robots=robots))
     mean, _ = relaxed_value(bound_at(several, (0, 1), [*price]), episodes=100, seed=5)
-    kinds = kinds_of(several, (0, 1), SETTING.travel(2), 3)
-    values = [kind.simulated(price, horizon(0.5), 100, 5 + number)[1].mean() for number, kind in enumerate(kinds)]
+    groups = groups_of(several, (0, 1), SETTING.travel(2), 3)
+    values = [group.simulated(price, horizon(0.5), 100, 5 + number)[1].mean() for number, group in enumerate(groups)]
     assert mean == pytest.approx(sum(values) + robots * (0.3 + 0.2 * 0.5 + 0.1 * 0.25))
 
 

@@ -31,7 +31,7 @@ from assist.certify.information_relaxation.congestion import Scale, lost
 from assist.certify.information_relaxation.options import RelaxationOptions
 from assist.certify.information_relaxation.path_search import SamplePath
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
-from assist.certify.prices import kinds_of
+from assist.certify.prices import groups_of
 from assist.certify.team_bound import upper_bound
 from assist.cli.output.person_bounds import show_samples
 from assist.person.settings import Setting
@@ -50,9 +50,9 @@ def made(
     pool = pool or pool_of(*COSTS[0])
     lattices = []
     with_outer = pool.policies[0].problem.region is not None
-    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), with_outer=with_outer):
-        visits = kind.at(price)
-        lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
+    for group in groups_of(pool, (0, 1), pool.setting.travel(2), len(price), with_outer=with_outer):
+        visits = group.at(price)
+        lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=group.best(visits))))
     people = [*lattices, lattices[0]] if robots > 1 else lattices
     return InformationRelaxation(people, price, workers=workers, options=options, robots=robots)
 

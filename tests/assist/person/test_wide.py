@@ -14,7 +14,7 @@ from conftest import kit, thinned
 from assist.certify.information_relaxation.belief_nodes import BeliefNodes
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
 from assist.certify.options import BoundOptions
-from assist.certify.prices import kinds_of
+from assist.certify.prices import groups_of
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.live import Assistant
@@ -332,13 +332,13 @@ def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> Non
     price = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
     values = []
     for pool in pools:
-        kinds = kinds_of(pool, team, setting.travel(3), len(price), with_outer=True)
-        assert all((kind.problem.between is not None) == (pool is pools[0]) for kind in kinds)
-        parts = [(visits := kind.at(price), kind.best(visits)) for kind in kinds]
+        groups = groups_of(pool, team, setting.travel(3), len(price), with_outer=True)
+        assert all((group.problem.between is not None) == (pool is pools[0]) for group in groups)
+        parts = [(visits := group.at(price), group.best(visits)) for group in groups]
         solved = [solve(visits.pomdp, gap=1e-4, best=best) for visits, best in parts]
         assert all(one.lower <= one.upper for one in solved)
         values.append([one.upper for one in solved])
-        busy = sum(kind.simulated(price, len(price), 4000, 1)[0] for kind in kinds)
+        busy = sum(group.simulated(price, len(price), 4000, 1)[0] for group in groups)
         values.append(busy)
     part, part_busy, whole, busy = values
     assert (np.array(part) > np.array(whole) - 1e-3).all()
@@ -355,10 +355,10 @@ def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, hidden=3))
     setting, team = Setting(c_suggest=0.1, c_move=0.2), (0, 1)
     pool = Pool.sample(tiny, 2, seed=0, setting=setting, states=5)
-    kinds = kinds_of(pool, team, setting.travel(2), 0, with_outer=True)
-    parts = [(visits := kind.at(np.zeros(0)), solve(visits.pomdp, gap=1e-3)) for kind in kinds]
+    groups = groups_of(pool, team, setting.travel(2), 0, with_outer=True)
+    parts = [(visits := group.at(np.zeros(0)), solve(visits.pomdp, gap=1e-3)) for group in groups]
     means, steps = [], []
-    for outers in ([None, None], [kind.problem.outer for kind in kinds]):
+    for outers in ([None, None], [group.problem.outer for group in groups]):
         lattices = [BeliefNodes(*part, outer) for part, outer in zip(parts, outers, strict=True)]
         for lattice, (_, solution) in zip(lattices, parts, strict=True):
             assert lattice.value == pytest.approx(solution.upper, abs=1e-9)

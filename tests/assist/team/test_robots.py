@@ -23,7 +23,7 @@ from teams import state
 from assist.certify import coupled
 from assist.certify.action_prices import paid, supply
 from assist.certify.options import BoundOptions
-from assist.certify.prices import kinds_of
+from assist.certify.prices import groups_of
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import upper_bound
 from assist.cli.options.config import read_config
@@ -186,8 +186,8 @@ def test_samples_are_not_below_the_joint_optimum(case: tuple[int, int]) -> None:
     prior = np.zeros_like(pomdp.prior)
     prior[0, len(pomdp.grid.theta) // 2] = 1.0
     pool = replace(pool, policies=(qmdp(replace(pomdp, prior=prior)),))
-    (kind,) = kinds_of(pool, (0, 1, 2), setting.travel(3), 0)
-    best = coupled.joint_optimum(as_agents(kind.at(np.zeros(0)), 3), robots)
+    (group,) = groups_of(pool, (0, 1, 2), setting.travel(3), 0)
+    best = coupled.joint_optimum(as_agents(group.at(np.zeros(0)), 3), robots)
     found = upper_bound(pool, window=window, gap=1e-6, paths=40, options=BoundOptions(10, 200))
     assert found.sampled is not None
     assert found.sampled.mean + 3 * found.sampled.stderr >= best.value

@@ -1,12 +1,12 @@
-"""What the random numbers of an episode are for; each kind has a stream of its own."""
+"""The streams of random numbers of an episode, by what the numbers are for."""
 
 from __future__ import annotations
 
 from enum import IntEnum
 
 
-class Kind(IntEnum):
-    """A kind of uniform numbers; a change of a number changes all results for a seed."""
+class Stream(IntEnum):
+    """What uniform numbers are for; a change of a number changes all results for a seed."""
 
     TYPE = 0
     """A person's type and theta, in the robot's model."""
