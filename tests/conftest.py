@@ -291,8 +291,8 @@ def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_first_picture(monkeypatch)
 
 
-FEW = BoundOptions(price_rounds=10, price_episodes=100, belief_episodes=500)
-"""Options of bounds whose prices are optimised in a tenth of the time; a bound holds at all prices."""
+FEW = BoundOptions(price_rounds=5, price_episodes=64, belief_episodes=300)
+"""Options of bounds whose prices are optimised in a twentieth of the time; a bound holds at all prices."""
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -14,16 +14,14 @@ person's POMDP, so that each checks the other.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numba
 import numpy as np
-from joint_problem import Ints, JointProblem, check, product_of, written_out
+from joint_problem import Ints, JointProblem, product_of, written_out
 
 from assist.people.decision import Floats
-from assist.person.travel import Travel
 from assist.team.pool import Pool
 from assist.team.state import NOBODY
 
@@ -61,7 +59,6 @@ class JointBounds:
         Number of observed states: the states of all tasks and the robot's location.
     hidden : int
         Number of hidden states: beta and theta of all people.
-    seconds : float
     """
 
     lower: float
@@ -69,7 +66,6 @@ class JointBounds:
     never: float
     states: int
     hidden: int
-    seconds: float
 
     @property
     def gap(self) -> float:
@@ -81,9 +77,7 @@ def joint_bounds(
     pool: Pool,
     team: tuple[int, ...] | None = None,
     *,
-    travel: Travel | None = None,
     gap: float = 1e-3,
-    time_limit: float | None = None,
 ) -> JointBounds:
     """Solve the POMDP of a team in which all people start together, in the robot's model.
 
@@ -95,24 +89,12 @@ def joint_bounds(
     pool : Pool
     team : tuple of int, optional
         Indices of the team's people; the whole pool unless given.
-    travel : Travel, optional
-        Distances, without travel times; those of the setting unless given.
     gap : float
         Stop when (upper - lower) / |lower| is at most this.
-    time_limit : float, optional
-        Seconds for the search. The initial bounds are computed in any case. Compilation, which happens once after an
-        installation, does not count.
-
-    Raises
-    ------
-    ValueError
-        The problem is too large, moving takes time, or the distances violate the triangle inequality.
     """
-    start = time.perf_counter()
     team = tuple(range(len(pool.people))) if team is None else team
-    travel = travel or pool.setting.travel(len(team))
+    travel = pool.setting.travel(len(team))
     people = [pool.policies[pool.model[person]].pomdp for person in team]
-    check(people, travel)
     m = written_out(people, travel)
     belief = product_of([pomdp.prior.ravel() for pomdp in people])
     tasks = np.ravel_multi_index([p.model.choices.initial for p in people], [len(p.robot_actions) for p in people])
@@ -129,11 +111,9 @@ def joint_bounds(
     path, beliefs = np.full(DEPTH, root), np.tile(belief, (DEPTH, 1))
     plans, points, finest = plans.with_room(), points.with_room(), FINEST
     _trial(path, beliefs, np.inf, finest, plans, points, seen, m)  # loads or compiles the code
-    begun = time.perf_counter()
     while True:
         lower, upper = _lower(root, belief, plans)[0], _upper(root, belief, seen, points)
-        late = time_limit is not None and time.perf_counter() - begun > time_limit
-        if late or upper - lower <= gap * abs(lower):
+        if upper - lower <= gap * abs(lower):
             break
         plans, points = plans.with_room(), points.with_room()
         aim = max(gap * abs(lower), AIM * (upper - lower))
@@ -143,7 +123,7 @@ def joint_bounds(
                 break
     return JointBounds(
         lower=lower - MARGIN * abs(lower), upper=upper + MARGIN * abs(upper), never=float(never[root] @ belief),
-        states=states, hidden=hidden, seconds=time.perf_counter() - start,
+        states=states, hidden=hidden,
     )  # fmt: skip
 
 

@@ -16,9 +16,6 @@ from assist.team.state import NOBODY
 
 Ints = NDArray[np.int64]
 
-MOST = 10_000_000
-"""Largest number of probabilities: one for each outcome of a step and each hidden state. They take 80 MB."""
-
 
 class JointProblem(NamedTuple):
     """A team's joint POMDP for compiled code.
@@ -61,36 +58,6 @@ class JointProblem(NamedTuple):
     chance: Floats
 
 
-def check(people: list[AssistPOMDP], travel: Travel) -> None:
-    """Raise `ValueError` if the problem is too large, or has features that are not modelled here."""
-    if len(people) != len(travel):
-        raise ValueError(f"{len(people)} people, but distances for {len(travel)}: expected the same number")
-    if not travel.at_once:
-        raise ValueError("travel: expected no travel time")
-    around = (travel.distance[:, :, None] + travel.distance[None]).min(axis=1)
-    if (around < travel.distance - 1e-9).any():
-        raise ValueError("distance: expected the triangle inequality")
-    if len(people) > 1 and any(pomdp.moves[:, 0].any() for pomdp in people):
-        raise ValueError("trust: expected one person, as theta of several would move in one step")
-    if any(pomdp.frontier is not None for pomdp in people):
-        raise ValueError("team: expected problems of whole tasks, and one is truncated")
-    # For each state of a person: the number of outcomes alone, and with each of the robot's actions.
-    count = [np.where(p.model.choices.goal, 1, p.model.choices.applicable.sum(axis=1)) for p in people]
-    alone = [int(c.sum()) for c in count]
-    helped = [
-        int(sum(c[p.afterstate[x, 1:most]].sum() for x, most in enumerate(p.robot_actions)))
-        for p, c in zip(people, count, strict=True)
-    ]
-    outcomes = math.prod(alone) + sum(h * math.prod(alone) // a for h, a in zip(helped, alone, strict=True))
-    hidden = math.prod(p.prior.size for p in people)
-    if outcomes * hidden > MOST:
-        states = (len(people) + 1) * math.prod(len(p.robot_actions) for p in people)
-        raise ValueError(
-            f"team of {len(people)}: too large to be solved jointly, with {states:,} observed and {hidden:,} hidden "
-            f"states; expected at most {MOST:,} probabilities, not {outcomes * hidden:,}"
-        )
-
-
 class _Act(NamedTuple):
     """The L outcomes of one person's next action.
 
@@ -126,7 +93,9 @@ def product_of(chances: list[Floats]) -> Floats:
 
 
 def written_out(people: list[AssistPOMDP], travel: Travel) -> JointProblem:
-    """Return the joint problem."""
+    """Return the joint problem of people whose tasks are whole, and of robots that are with a person at once."""
+    assert travel.at_once
+    assert not any(pomdp.frontier is not None or (len(people) > 1 and pomdp.moves[:, 0].any()) for pomdp in people)
     sizes, shape = [len(p.robot_actions) for p in people], [n for p in people for n in p.grid.shape]
     every = np.arange(math.prod(shape))
     grid = np.array(np.unravel_index(every, shape))  # each person's beta and theta, as rows

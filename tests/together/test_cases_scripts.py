@@ -230,6 +230,7 @@ def test_no_script_in_a_drawing_or_its_animation_runs(chromium: Any, tmp_path: P
         assert IMAGE in page.evaluate("document.documentElement.textContent")
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_the_report_of_a_study_with_simulated_people_shows_markup_as_it_is_written(
     small_study: tuple[Study, Path, dict[str, Any]],
 ) -> None:

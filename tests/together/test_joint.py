@@ -28,7 +28,6 @@ from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.solver import solve
-from assist.person.travel import Travel
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
 from assist.team.state import NOBODY
@@ -133,7 +132,7 @@ def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float,
 @pytest.mark.parametrize("costs", COSTS)
 def test_the_sampled_bound_is_not_below_and_much_nearer(costs: tuple[float, float]) -> None:
     pool, joint = solved(costs)
-    bound = upper_bound(pool, jobs=1, paths=100)
+    bound = upper_bound(pool, jobs=1, paths=100, options=BoundOptions(10, 100, belief_episodes=500))
     assert bound.sampled is not None
     assert bound.sampled.mean + 4 * bound.sampled.stderr >= joint.lower
     assert bound.sampled.mean < bound.upper < bound.proven
@@ -198,20 +197,3 @@ def test_a_short_sighted_team_is_worth_what_the_whole_tree_is(costs: tuple[float
     assert 0 <= high - low < 0.2 * (low - joint.never)  # narrow enough to see what helping is worth
     assert joint.lower <= high + 1e-9
     assert joint.upper >= low - 1e-9
-
-
-def test_what_cannot_be_solved_as_a_whole_is_refused() -> None:
-    pool = pool_of(*COSTS[0])
-    with pytest.raises(ValueError, match=r"team of 3: too large .* 37,044 observed and 216 hidden states"):
-        joint_bounds(pool, (0, 1, 0))
-    with pytest.raises(ValueError, match="no travel time"):
-        joint_bounds(pool, travel=Travel.of(2, travel_time=1.0))
-    with pytest.raises(ValueError, match="triangle inequality"):
-        joint_bounds(pool, travel=Travel.of(2, distance=[[0, 1, 3], [1, 0, 1], [3, 1, 0]]))
-    with pytest.raises(ValueError, match="expected the same number"):
-        joint_bounds(pool, travel=Travel.of(3))
-
-
-def test_the_search_stops_in_time() -> None:
-    joint = joint_bounds(pool_of(*COSTS[0]), gap=0.0, time_limit=0.3)
-    assert joint.never <= joint.lower <= joint.upper <= 0

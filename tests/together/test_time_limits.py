@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,10 @@ AT_ONCE = 1e-9
 """Seconds after which the time is up at the first look."""
 
 
+@cache
 def recorded() -> list[dict[str, Any]]:
     trace: list[dict[str, Any]] = []
-    simulate(Pool.sample("kitting/tiny", 3, seed=1), "reactive", humans=3, episodes=2, seed=0, trace=trace)
+    simulate(Pool.sample("kitting/tiny", 3, seed=1), "reactive", humans=3, episodes=1, seed=0, trace=trace)
     return trace
 
 

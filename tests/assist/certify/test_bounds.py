@@ -37,7 +37,7 @@ def pool(tiny_choices: Choices) -> Pool:
 
 @pytest.fixture(scope="module")
 def together(pool: Pool) -> TeamBound:
-    return upper_bound(pool, gap=1e-3)
+    return upper_bound(pool, gap=1e-3, options=BoundOptions(10, 100))
 
 
 def root(visits: AttentionSubproblem) -> float:
@@ -176,7 +176,7 @@ def test_people_with_one_model_share_one_problem(tiny_choices: Choices) -> None:
     setting = Setting(knowledge="exact", c_suggest=0.1, c_move=0.2)
     pool = Pool.sample(tiny_choices, 40, seed=0, setting=setting)
     told: list[tuple[str, int, int]] = []
-    found = upper_bound(pool, progress=lambda *what: told.append(what))
+    found = upper_bound(pool, progress=lambda *what: told.append(what), options=BoundOptions(10, 100))
     assert max(total for what, _, total in told if what == "bounding people's problems") == 1
     certificate = found.certify(pool.policy("priority"), episodes=200)
     assert certificate.humans == 40

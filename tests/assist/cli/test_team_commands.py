@@ -102,14 +102,14 @@ def test_a_policy_of_ones_own_is_simulated_and_bounded_beside_others(own: Path, 
     assert set(silent.pop("differences")) == {"human_actions_per_person", "interventions", "return"}
     assert {**silent, "policy": "none", "differences": None} == none
     assert len((tmp_path / "out.jsonl").read_text().splitlines()) == 120
-    result = invoke("bound", *options, "--value-episodes", 50, "--time-limit", 0.5)
+    result = invoke("bound", *options, "--value-episodes", 50, "--gap", 0.5, "--set", "gamma=0.6")
     assert result.exit_code == 0, result.output
     assert [c["policy"] for c in json.loads(result.stdout)["policies"]] == ["in_turn", "silent"]
 
 
 def test_differences_refer_to_any_of_the_policies(own: Path) -> None:
     policies = ("--policy", "none", "--policy", "attention", "--policy", f"{own}:in_turn")
-    options = ("simulate", TINY, "--humans", 2, "--episodes", 8, "--set", "max_steps=60", *policies)
+    options = ("simulate", TINY, "--humans", 2, "--pool", 2, "--episodes", 8, "--set", "max_steps=60", *policies)
     usual, other = (
         json.loads(invoke(*options, *more, "--json").stdout) for more in ((), ("--baseline", f"{own}:in_turn"))
     )
@@ -235,7 +235,7 @@ def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_pat
     without.write_text(json.dumps({"parts": parts, "eta": None}))
 
     def simulated(*options: object) -> tuple[dict, list]:
-        short = ("--policy", "reactive", "--episodes", 20, "--set", "max_steps=60", "--json")
+        short = ("--pool", 2, "--policy", "reactive", "--episodes", 20, "--set", "max_steps=60", "--json")
         found = invoke("simulate", TINY, "--humans", 2, *short, *options)
         assert found.exit_code == 0, found.stderr
         out = json.loads(found.stdout)

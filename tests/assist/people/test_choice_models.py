@@ -289,7 +289,7 @@ def test_a_model_of_ones_own_is_used_everywhere(tiny: Table) -> None:
     np.testing.assert_array_equal(
         pool.people[0].chances(choices), short_sighted(choices, pomdp.model.q, np.array([2.0]))[0]
     )
-    alone = simulate(pool, "none", humans=1, episodes=1000, seed=0)
+    alone = simulate(pool, "none", humans=1, episodes=400, seed=0)
     value = qmdp(
         AssistPOMDP.of(
             HumanModel.exact(choices, lapse=0.0),
@@ -298,7 +298,7 @@ def test_a_model_of_ones_own_is_used_everywhere(tiny: Table) -> None:
         )
     )
     never = value.q_mdp[choices.initial, 0, 0, 1]
-    assert alone.discounted_return.mean() < never + 4 * alone.discounted_return.std() / np.sqrt(1000)
+    assert alone.discounted_return.mean() < never + 4 * alone.discounted_return.std() / np.sqrt(400)
     problem = PersonProblem.of(tiny, population=people)
     exact = solve(problem.pomdp, gap=0.05)
     assert exact.gap <= 0.05

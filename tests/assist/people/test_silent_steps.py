@@ -145,7 +145,7 @@ def test_no_policy_is_above_the_teams_bound(rule: TrustRule) -> None:
         )
         bound = upper_bound(pool, gap=1e-3)
         for name in ("none", "attention", "priority", "whittle"):
-            found = simulate(pool, name, humans=list(range(size)), episodes=4000, seed=0, world="model")
+            found = simulate(pool, name, humans=list(range(size)), episodes=1500, seed=0, world="model")
             value = found.discounted_return
             assert value.mean() - 4 * value.std(ddof=1) / np.sqrt(len(value)) <= bound.proven + 1e-9
 

@@ -38,7 +38,7 @@ def test_episodes_with_terms_are_those_of_the_whole_task(prior: Any, knowledge: 
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge)
     both = pools(kit("sealed"), monkeypatch, setting=setting, prior=prior)
     for policy in ("none", "attention", "priority"):
-        one, other = (simulate(pool, policy, humans=2, episodes=16, seed=3) for pool in both)
+        one, other = (simulate(pool, policy, humans=2, episodes=8, seed=3) for pool in both)
         np.testing.assert_array_equal(one.actions, other.actions)
         np.testing.assert_allclose(one.discounted_return, other.discounted_return, rtol=0, atol=1e-9)
         assert (policy == "none") == (not one.interventions.any())

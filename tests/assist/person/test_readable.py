@@ -66,7 +66,7 @@ SEEDS, GOALS = st.integers(0, 10**6), st.sampled_from([1, 3])
 LAPSES = st.sampled_from([0.0, 0.001, 0.3])
 
 
-@costly(15, 50)
+@costly(8, 50)
 @given(SEEDS, GOALS, st.booleans(), LAPSES, st.sampled_from([None, 0, 2]), st.sampled_from([0, 1, 2, 50]))
 def test_a_step_of_people(
     seed: int, goals: int, answers: bool, lapse: float, outcomes: int | None, people: int
@@ -90,7 +90,7 @@ def test_a_step_of_people(
         np.testing.assert_array_equal(one, other, err_msg=name)
 
 
-@costly(15, 50)
+@costly(8, 50)
 @given(SEEDS, GOALS, st.booleans(), LAPSES, st.booleans(), st.sampled_from([1, 2, 40]))
 def test_the_beliefs_after_a_step(
     seed: int, goals: int, answers: bool, lapse: float, believed: bool, people: int

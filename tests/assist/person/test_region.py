@@ -195,7 +195,7 @@ def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
     ours, theirs = TruncatedTask.of(table, states=20), TruncatedTask.of(asked, states=20)
     values = {tuple(row) for row in table.values(ours.states).tolist()}
     assert values == {tuple(row) for row in asked.values(theirs.states).tolist()}
-    known, unknown = (solve(closed_problem(r, Assumptions(**SETTING)), gap=2e-2) for r in (ours, theirs))  # type: ignore[arg-type]
+    known, unknown = (solve(closed_problem(r, Assumptions(**SETTING)), gap=5e-2) for r in (ours, theirs))  # type: ignore[arg-type]
     assert unknown.lower <= known.lower + 1e-9
     assert unknown.upper == pytest.approx(known.upper, rel=2e-2)
     assert unknown.upper >= known.lower

@@ -63,13 +63,13 @@ def test_the_advantages_on_sample_paths_are_those_of_simulated_returns(tiny: Tab
     pool = of(two_goals(tiny)) if "goals" in setting else of(tiny, **setting)
     policy, team = Rollout.of(pool.policies, pool.setting.travel(3), RolloutOptions(horizon=200)), start(pool)
     assert team.belief is not None
-    paths = _Paths(policy, team, np.array([0]), [policy.base(team)], np.ones((1, 1), dtype=bool), 500, 0)
+    paths = _Paths(policy, team, np.array([0]), [policy.base(team)], np.ones((1, 1), dtype=bool), 250, 0)
     sums = paths.values()[0]
     for k, one in enumerate(pool.policies):
         solved = one.with_robot(policy.base)
         values = solved.policy.value_mdp[solved.states[0][0, team.x[0, k]]]
         sums += (values * team.belief[0, k]).sum()
-    found = simulate(pool, "priority", humans=TEAM, episodes=1500, seed=1, world="model").discounted_return
+    found = simulate(pool, "priority", humans=TEAM, episodes=750, seed=1, world="model").discounted_return
     error = np.hypot(sums.std() / np.sqrt(len(sums)), found.std() / np.sqrt(len(found)))
     assert abs(sums.mean() - found.mean()) < 4 * error
     if "neighbours" not in setting:  # what people see of each other is no part of their own problems, which V is of
@@ -80,13 +80,13 @@ def test_the_advantages_on_sample_paths_are_those_of_simulated_returns(tiny: Tab
 def test_without_a_better_alternative_it_is_priority(tiny: Table, options: RolloutOptions) -> None:
     pool = of(tiny)
     policy = Rollout.of(pool.policies, pool.setting.travel(3), options)
-    own, base = (simulate(pool, one, humans=3, episodes=10, seed=2) for one in (policy, pool.policy("priority")))
+    own, base = (simulate(pool, one, humans=3, episodes=4, seed=2) for one in (policy, pool.policy("priority")))
     np.testing.assert_array_equal(own.discounted_return, base.discounted_return)
 
 
 def test_the_same_state_has_the_same_action_whatever_is_simulated_beside_it(tiny: Table) -> None:
     pool = of(tiny, c_move=2.0)
-    policy = Rollout.of(pool.policies, pool.setting.travel(3), RolloutOptions(samples=64, errors=0.0))
+    policy = Rollout.of(pool.policies, pool.setting.travel(3), RolloutOptions(samples=16, errors=0.0))
     whole = simulate(pool, policy, humans=TEAM, episodes=70, seed=4, jobs=2)
     part = simulate(pool, policy, humans=TEAM, episodes=[3, 40, 69], seed=4)
     np.testing.assert_array_equal(part.discounted_return, whole.discounted_return[[3, 40, 69]])

@@ -653,6 +653,15 @@ def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: p
 @pytest.mark.cases
 def test_participants_who_show_a_difference_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
+    made, forecast = dict[str, Forecast](), Forecast.of
+
+    def once(study: Any, tasks: Any) -> Forecast:
+        """Return the forecast of a design, which takes long and is the same for all differences."""
+        if study.design not in made:
+            made[study.design] = forecast(study, tasks)
+        return made[study.design]
+
+    monkeypatch.setattr(Forecast, "of", once)
     for text in (CONFIRMED, WITHIN):
         file = written(tmp_path / "study.toml", text.replace("seed = 3", "seed = 3\nparticipants = 24"))
         (shown,) = json.loads(invoke("study-prepare", file, "--check").stdout)["sensitivity"]
