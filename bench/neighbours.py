@@ -79,7 +79,7 @@ def bounds(settings: int, instance: str, record: Path | None) -> None:
         rule: dict[str, Any] = [
             {"rule": "outcome", "eta_seen": float(rng.choice([0.02, 0.1, 0.3, 1.0]))},
             {"rule": "followed", "rise": float(rng.uniform(0, 0.4)), "fall": float(rng.uniform(0, 0.4))},
-            {"rule": "steps", "gain": float(rng.uniform(0, 2)), "loss": float(rng.uniform(0, 2))},
+            {"rule": "steps", "seen_gain": float(rng.uniform(0, 2)), "seen_loss": float(rng.uniform(0, 2))},
         ][number % 3]
         people, low = int(rng.integers(2, 5)), float(rng.uniform(0.1, 0.6))
         setting = Setting(

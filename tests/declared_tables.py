@@ -1,6 +1,7 @@
 """The tables of declared classes in the pages: `python tests/declared_tables.py` writes them.
 
-A table stands between `<!-- declared MODULE CLASS -->` and `<!-- end -->`; for the rules, `CLASS` is `RULES`.
+A table stands between `<!-- declared MODULE CLASS -->` and `<!-- end -->`; for the rules, `CLASS` is `RULES` or
+`SEEN_RULES`.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ def renewed(text: str) -> str:
 
 
 def table(kind: Any) -> str:
-    """Return the fields of a declared class, an event's kinds, or the trust rules: what each is."""
-    if kind is RULES:
-        return rule_table()
+    """Return the fields of a declared class, an event's kinds, or rules by which theta moves: what each is."""
+    if isinstance(kind, dict):
+        return rule_table(kind)
     if issubclass(kind, View):
         return markdown_table(("field", "meaning"), [(f"`{name}`", text) for name, text in sentences(kind).items()])
     return event_table(kind) if issubclass(kind, Event) else field_table(kind)
@@ -85,16 +86,17 @@ def event_table(base: type[Event]) -> str:
     return markdown_table(("event", "request", "fields", "reports"), rows)
 
 
-def rule_table() -> str:
-    """Return a table of the shipped trust rules: name, sentence, and the fields that each is made with."""
+def rule_table(rules: dict[str, Any]) -> str:
+    """Return a table of shipped rules: name, sentence, and the fields that each is made with."""
     rows = []
-    for name, make in RULES.items():
+    for name, make in rules.items():
         rule, said = make(), sentences(type(make()))
-        numbers = (one for one in fields_of(name) if one != "feedback")  # which all rules have
+        numbers = (one for one in fields_of(make) if one != "feedback")  # which all trust rules have
         fields = (f"`{one}`, by default {toml(plain(getattr(rule, one)))}: {said[one]}" for one in numbers)
-        first = described(name)
+        first = described(make)
         rows.append((f"`{name}`", first[0].upper() + first[1:], " ".join(fields)))
-    return markdown_table(("rule", "theta after a suggestion", "numbers"), rows)
+    after = "a suggestion" if rules is RULES else "what is seen"
+    return markdown_table(("rule", f"theta after {after}", "numbers"), rows)
 
 
 def main() -> None:

@@ -14,12 +14,13 @@ from .terminal.console import ExitCode, fail, print_json
 @command("check policies.py:furthest_first")
 @click.argument("code", metavar="FILE.py:NAME")
 @click.option(
-    "--as", "kind", type=click.Choice(["policy", "people", "trust", "term"]),
-    help="What it is: a team policy, a choice model of people, a trust rule or a term. Its form tells unless given.",
+    "--as", "kind", type=click.Choice(["policy", "people", "trust", "neighbours", "term"]),
+    help="What it is: a team policy, a choice model of people, a trust rule, a rule of neighbours or a term. Its form "
+    "tells unless given.",
 )  # fmt: skip
 @json_option
 def check(code: str, kind: str | None, as_json: bool) -> None:
-    """Try your own policy, choice model, trust rule or term, and say what is wrong with it.
+    """Try your own policy, choice model, rule or term, and say what is wrong with it.
 
     It is called in the situations in which it will be called later: with one person and three, one robot and two,
     several goals, dead ends, truncated tasks.

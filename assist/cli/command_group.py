@@ -11,7 +11,7 @@ from planner.system.errors import expected
 
 COMMANDS = {
     "bound": "Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it.",
-    "check": "Try your own policy, choice model, trust rule or term, and say what is wrong with it.",
+    "check": "Try your own policy, choice model, rule or term, and say what is wrong with it.",
     "compare": "Compare models of people by how well they predict people to whom they were not fitted.",
     "domains": "List the bundled tasks, whose names every command accepts.",
     "draw": "Draw a state, a plan or an episode as a picture (.svg, .png) or an animation (.gif, .html).",

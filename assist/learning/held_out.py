@@ -146,7 +146,7 @@ def compare_rules(
     if beside is not None:
         if rules is not None:
             raise ValueError(f"beside '{beside}': expected no other rules")
-        rules = seen_families(family_of(beside, method))
+        rules = seen_families(family_of(beside, method), method.neighbours)
     if isinstance(people, AdviceLog):
         names, choices = tuple(people.people), people.counts
         folds_of(len(names), folds)

@@ -10,19 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from ..declare.declared import is_declared
 from ..people.decision import NOTHING
 from ..people.neighbourhood import Neighbourhood
-from ..people.neighbours import SEEN_RULES, Neighbours, WithSeen, name_of
+from ..people.neighbours import SEEN_RULES, Neighbours, SeenNothing, WithSeen, seen_rule_of
 from ..people.sights import Acting, sights_of
 from ..people.trust_rules import TrustRule
 from .evidence import Evidence, observations_of
 from .log import Entry
 from .method import Method
 from .observations import Ints, Observations
-from .rule_families import RuleFamily
+from .rule_families import RuleFamily, name_of
 
 BEFORE_ALL = -(2**63)
 """Number before that of every action: a person is there from the beginning."""
@@ -60,7 +62,7 @@ def with_neighbours(people: Evidence | Sequence[Observations], neighbours: Neigh
     return [replace(o, seen=seen) for o, seen in zip(each, sights_of(acts, graph), strict=True)]
 
 
-def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
+def seen_families(own: TrustRule | RuleFamily, neighbours: Neighbours | None = None) -> dict[str, RuleFamily]:
     """Return the rules by which theta moves by what is seen of neighbours, by name, beside a rule of one's own.
 
     "none" is the person's own rule alone.
@@ -69,22 +71,21 @@ def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
     ----------
     own : TrustRule or RuleFamily
         How theta moves by suggestions to oneself: a rule, or a family whose parameters are estimated as well.
+    neighbours : Neighbours, optional
+        Its rule is one of those that are returned, also if it is the user's own, which is taken unchanged.
     """
     mine = own if isinstance(own, RuleFamily) else RuleFamily.of(own)
-    return {
-        name: RuleFamily(
-            WithSeen.maker(mine.make, seen), {**mine.ranges, **seen.estimated},
-            tuple((*one, *other) for one in mine.tried for other in seen.tried), mine.logarithms,
-            f", neighbours {name}",
-        )
-        if seen.estimated else mine
-        for name, seen in SEEN_RULES.items()
-    }  # fmt: skip
+    each = {name: RuleFamily.made_by(make) for name, make in SEEN_RULES.items() if make is not SeenNothing}
+    if not is_declared(type(given := seen_rule_of(neighbours))):
+        each[name_of(given)] = RuleFamily.of(given)
+    return {"none": mine} | {name: mine.joined(one, WithSeen, f", neighbours {name}") for name, one in each.items()}
 
 
 def rule_beside(own: TrustRule | RuleFamily, method: Method) -> RuleFamily:
     """Return the family of a rule of one's own, beside which theta moves by what is known beforehand of neighbours."""
-    return seen_families(own)[name_of(method.neighbours)]
+    seen: Any = seen_rule_of(method.neighbours)
+    name = seen.tag["rule"] if is_declared(type(seen)) else name_of(seen)
+    return seen_families(own, method.neighbours)[name]
 
 
 def _places(evidence: Evidence, people: Iterable[Observations]) -> Mapping[tuple[str, str], int]:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
+from types import MappingProxyType
+from typing import Any
 
 from ..people.given_rules import rule_to_fit
 from ..people.trust_rules import RULES, TrustRule, constant, fields_of, fitted_of
@@ -52,7 +54,47 @@ class RuleFamily:
         return self.make(**{name: self.parameter(name, value) for name, value in pairs})
 
     @classmethod
-    def of(cls, rule: TrustRule) -> RuleFamily:
+    def made_by(cls, make: Callable[..., Any], known: Mapping[str, float] = MappingProxyType({})) -> RuleFamily:
+        """Return the family of a shipped rule: what is marked as `Fitted` is estimated, unless it is known.
+
+        Parameters
+        ----------
+        make : callable
+            The class of the rule, or a function that makes it.
+        known : mapping of str to float
+            Parameters that are known.
+        """
+        fitted = {one: mark for one, mark in fitted_of(make).items() if one not in known}
+        scale = {one: math.log if mark.logarithm else float for one, mark in fitted.items()}
+        return cls(
+            partial(make, **known),
+            {one: (scale[one](mark.low), scale[one](mark.high)) for one, mark in fitted.items()},
+            tuple(product(*(map(scale[one], mark.tried) for one, mark in fitted.items()))),
+            frozenset(one for one, mark in fitted.items() if mark.logarithm),
+        )
+
+    def joined(self, other: RuleFamily, join: Callable[[Any, Any], TrustRule], beside: str) -> RuleFamily:
+        """Return the family of rules that `join` makes of one of this family and one of another.
+
+        Parameters
+        ----------
+        other : RuleFamily
+            Its parameters have other names.
+        join : callable
+        beside : str
+            What the other one says of the name of the rule.
+        """
+
+        def made(**numbers: float) -> TrustRule:
+            return join(*(one.make(**{name: numbers[name] for name in one.ranges}) for one in (self, other)))
+
+        return RuleFamily(
+            made, {**self.ranges, **other.ranges}, tuple((*a, *b) for a, b in product(self.tried, other.tried)),
+            self.logarithms | other.logarithms, beside,
+        )  # fmt: skip
+
+    @classmethod
+    def of(cls, rule: Any) -> RuleFamily:
         """Return the family of one rule, without parameters to estimate."""
         return cls(lambda: rule, {}, ((),))
 
@@ -67,20 +109,12 @@ def families(method: Method) -> dict[str, RuleFamily]:
     """
     found = {}
     for name, make in RULES.items():
-        known = {one: getattr(method, one) for one in KNOWN if one in fields_of(name)}
-        known = {one: value for one, value in known.items() if value is not None}
-        fitted = {one: mark for one, mark in fitted_of(name).items() if one not in known}
-        scale = {one: math.log if mark.logarithm else float for one, mark in fitted.items()}
-        found[name] = RuleFamily(
-            partial(make, **known),
-            {one: (scale[one](mark.low), scale[one](mark.high)) for one, mark in fitted.items()},
-            tuple(product(*(map(scale[one], mark.tried) for one, mark in fitted.items()))),
-            frozenset(one for one, mark in fitted.items() if mark.logarithm),
-        )
+        known = {one: getattr(method, one) for one in KNOWN if one in fields_of(make)}
+        found[name] = RuleFamily.made_by(make, {one: value for one, value in known.items() if value is not None})
     return found
 
 
-def name_of(rule: str | TrustRule | RuleFamily) -> str:
+def name_of(rule: Any) -> str:
     """Return the name of a rule: that of a shipped one, FILE.py:RULE, or the name of its class."""
     if isinstance(rule, RuleFamily):
         rule = _own(rule)
@@ -123,4 +157,4 @@ def parameters_of(rule: TrustRule) -> dict[str, float]:
     own = {} if rule == constant() else vars(rule)
     parts = [parameters_of(part) for part in own.values() if hasattr(part, "update") and hasattr(part, "__dict__")]
     numbers = {name: float(value) for name, value in own.items() if type(value) in (int, float)}
-    return {name: value for part in (numbers, *parts) for name, value in part.items()}
+    return {name: value for part in (*reversed(parts), numbers) for name, value in part.items()}

@@ -154,7 +154,7 @@ def fit_influence(
         family of rules.
     method : Method, optional
         Level of the intervals, lapse, and what is known beforehand. With neighbours, theta also moves by the rule of
-        this name, whose parameters are estimated, too.
+        this name, whose parameters are estimated, too; or by one of the user's own, taken unchanged.
     carry : bool
         Whether theta is carried from episode to episode, in the order of their names.
 

@@ -259,7 +259,7 @@ class Assistant(Reports, Desk):
         policy : callable, optional
             The team's policy, if it was a function.
         setting : Setting, optional
-            The team's setting, if it has a trust rule of your own.
+            The team's setting, if it has a rule of your own.
 
         Raises
         ------

@@ -230,8 +230,10 @@ def setting_of(saved: dict[str, Any], given: Setting | None) -> Setting:
         It is another one; or none is given, and the saved one has a rule of the user's own, whose name alone was saved.
     """
     if given is None:
-        for name in ("trust", "believed_trust"):
-            if isinstance(rule := saved.get(name), str) and rule not in RULES:
+        rules = {name: saved.get(name) for name in ("trust", "believed_trust")}
+        rules["neighbours.rule"] = saved.get("neighbours", {}).get("rule")  # a text only if it is the user's own
+        for name, rule in rules.items():
+            if isinstance(rule, str) and rule not in RULES:
                 raise ValueError(f"{name} was {rule}, a rule of your own; expected the team's setting as `setting`")
         return Setting(**{"trust": "paper"} | saved)
     require_setting(given)

@@ -1,4 +1,4 @@
-"""Trust rules as users give them: names, tables, or their own, which are tried once.
+"""Rules by which theta moves as users give them: names, tables, or their own, which are tried once.
 
 A trial has events of all kinds, after which theta has to be a number from 0 to 1. Only the map itself is tried; `check`
 also simulates people with it.
@@ -6,16 +6,18 @@ also simulates people with it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from hashlib import sha256
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from planner.system.errors import expected
 
 from ..declare.declared import is_declared
 from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, may_move, of_table
-from .user_code import UserCodeError, UserTrustRule, parse
+from .user_code import UserCodeError, UserRule, UserTrustRule, parse
+
+R = TypeVar("R")
 
 THETAS, EVENTS = SHAPE = 11, 16
 GAINS = (-2.0, 0.0, 1.0)
@@ -42,18 +44,46 @@ def rule_to_fit(rule: Any) -> str | TrustRule | None:
 
 
 def _given(rule: Any, least: float) -> str | TrustRule | None:
-    if rule is None:
-        return None
+    form = "uses_answer, feedback and update"
+    return None if rule is None else given_as(rule, RULES, UserTrustRule, lambda one: possible(one, least), form)
+
+
+def given_as(
+    rule: Any, shipped: Mapping[str, Callable[..., R]], own: type[UserRule], tried: Callable[[Any], Any], form: str
+) -> str | R:
+    """Return a rule of any kind, or its name; a table becomes its rule, and so does FILE.py:RULE.
+
+    Parameters
+    ----------
+    rule : str, mapping or object
+    shipped : mapping of str to callable
+        The shipped rules of this kind, by name.
+    own : type of UserRule
+        The class of those in a file.
+    tried : callable
+        Receives a rule of the user's own; its errors are those of this function, too.
+    form : str
+        What an object has that is such a rule.
+
+    Raises
+    ------
+    ValueError
+        It is none of these.
+    """
     if isinstance(rule, Mapping):
-        return of_table(RULES, rule)
+        return of_table(shipped, rule)
     if isinstance(rule, str):
         source = parse(rule)
-        if source is None and rule not in RULES:
-            raise ValueError(f"'{rule}'; {expected(rule, RULES, ', a rule, or FILE.py:RULE')}")
-        return rule if source is None else possible(UserTrustRule.load(*source), least)
+        if source is None and rule not in shipped:
+            raise ValueError(f"'{rule}'; {expected(rule, shipped, ', a rule, or FILE.py:RULE')}")
+        if source is None:
+            return rule
+        rule = own.load(*source)
     if not hasattr(rule, "update"):
-        raise ValueError(f"{rule!r}; expected a name, or an object with uses_answer, feedback and update")
-    found: TrustRule = rule if is_declared(type(rule)) else possible(rule, least)
+        raise ValueError(f"{rule!r}; expected a name, or an object with {form}")
+    if not is_declared(type(rule)):
+        tried(rule)
+    found: R = rule
     return found
 
 

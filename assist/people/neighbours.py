@@ -4,10 +4,11 @@ People at their stations see what a robot suggests to a neighbour, whether the n
 A visibility graph (`Neighbours`) has a weight in [0, 1] for each pair of stations. A rule moves theta of those who see
 an event, by `update(theta, event)` with a `SeenEvent`: a deterministic map, as trust rules are.
 
-A rule is shipped by the name in its `tag` once its class is in `SEEN_RULES`. Shipped rules have `estimated`, the ranges
-of their numbers in the order of the fields, for estimates from logs, and `tried`, the numbers that are tried first. A
-rule of one's own is any frozen object with `update`. A step has this order: people act, their theta moves by what was
-suggested to them, and then by what they saw, in the order of the people that they saw.
+A rule is shipped by the name in its `tag` once its class is in `SEEN_RULES`, as trust rules are: a field with the mark
+`Fitted` is estimated from logs. Its name is that of no field of a trust rule, as both are estimated together. A rule of
+one's own is any frozen object with `update`, which is tried where it is given (`SeenAlone`). A step has this order:
+people act, their theta moves by what was suggested to them, and then by what they saw, in the order of the people that
+they saw.
 `neighbourhood` applies the maps to people and to beliefs, `sights` to people of a log.
 
 Bounds on team policies need to know how far theta can come. A rule with a method `envelope` tells it: the least and
@@ -17,20 +18,23 @@ the largest theta after an event, both of which rise with theta. A bound with an
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, PlainValidator
 
-from ..declare.declared import MOST, Expected, Number, Truth, declared
-from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, TrustRule, by_name, counts_of, of_table
+from ..declare.declared import MOST, Beside, Expected, Number, Truth, declared, is_declared
+from .given_rules import given_as, possible
+from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, Fitted, TrustRule, by_name, counts_of
+from .user_code import UserCodeError, UserSeenRule, function_beside
 
 if TYPE_CHECKING:
     from .decision import Bools, Floats, Ints
 
 Range = tuple[float, float]
-Tried = tuple[tuple[float, ...], ...]
+
+STEP, LOGIT = Fitted(0.0, 1.0, (0.03, 0.1)), Fitted(0.0, LARGEST_STEP, (0.1, 0.4))
 
 
 @dataclass(frozen=True)
@@ -67,10 +71,8 @@ class SeenRule(Protocol):
 
 @declared
 class SeenNothing:
-    """Theta does not move by what is seen of neighbours."""
+    """Theta stays, whatever is seen of neighbours."""
 
-    estimated: ClassVar[Mapping[str, Range]] = {}
-    tried: ClassVar[Tried] = ((),)
     tag: ClassVar[Mapping[str, str]] = {"rule": "none"}
 
     def update(self, theta: Floats, event: SeenEvent) -> Floats:  # noqa: ARG002
@@ -86,9 +88,9 @@ class SeenNothing:
 class SeenOutcome:
     """Equation (7) with a neighbour's gain: theta' = clip(theta + weight eta_seen gain / utility_scale, 0, 1)."""
 
-    estimated: ClassVar[Mapping[str, Range]] = {"eta_seen": (0.0, 1.0)}
-    tried: ClassVar[Tried] = ((0.03,), (0.1,), (0.3,))
-    eta_seen: Annotated[Number, Field(ge=0, le=MOST, description="Rate by which theta moves.")] = 0.1
+    eta_seen: Annotated[
+        Number, Fitted(0.0, 1.0, (0.03, 0.1, 0.3)), Field(ge=0, le=MOST, description="Rate by which theta moves.")
+    ] = 0.1
     utility_scale: Annotated[Number, Field(ge=1 / MOST, le=MOST, description="Unit of value, in cost units.")] = 1.0
     tag: ClassVar[Mapping[str, str]] = {"rule": "outcome"}
 
@@ -105,12 +107,12 @@ class SeenOutcome:
 
 @declared
 class SeenFollowed:
-    """Theta rises when a neighbour follows a suggestion, and falls when not, by fixed steps times the weight."""
+    """Theta rises by a step times the weight when a neighbour follows a suggestion, and falls by one when not."""
 
-    estimated: ClassVar[Mapping[str, Range]] = {"rise": (0.0, 1.0), "fall": (0.0, 1.0)}
-    tried: ClassVar[Tried] = ((0.03, 0.03), (0.1, 0.1))
-    rise: Annotated[Number, Field(ge=0, le=1, description="Rise of theta when the neighbour follows.")] = 0.05
-    fall: Annotated[Number, Field(ge=0, le=1, description="Fall of theta when the neighbour does not follow.")] = 0.05
+    rise: Annotated[Number, STEP, Field(ge=0, le=1, description="Rise of theta when the neighbour follows.")] = 0.05
+    fall: Annotated[
+        Number, STEP, Field(ge=0, le=1, description="Fall of theta when the neighbour does not follow.")
+    ] = 0.05
     tag: ClassVar[Mapping[str, str]] = {"rule": "followed"}
 
     def update(self, theta: Floats, event: SeenEvent) -> Floats:
@@ -126,16 +128,17 @@ class SeenFollowed:
 
 @declared
 class SeenSteps:
-    """Logit(theta) moves by fixed steps, times the weight, after suggestions that a neighbour followed."""
+    """Logit(theta) moves by a step times the weight when a neighbour follows a suggestion; else theta stays."""
 
-    # Rules of one's own have a gain and a loss, too.
-    estimated: ClassVar[Mapping[str, Range]] = {"seen_gain": (0.0, LARGEST_STEP), "seen_loss": (0.0, LARGEST_STEP)}
-    tried: ClassVar[Tried] = ((0.1, 0.2), (0.4, 0.4))
-    gain: Annotated[
-        Number, Field(ge=0, le=MOST, description="Step up if the neighbour came closer to the goal, in log-odds.")
+    seen_gain: Annotated[
+        Number,
+        LOGIT,
+        Field(ge=0, le=MOST, description="Step up if the neighbour came closer to the goal, in log-odds."),
     ] = 0.1
-    loss: Annotated[
-        Number, Field(ge=0, le=MOST, description="Step down if the neighbour did not come closer, in log-odds.")
+    seen_loss: Annotated[
+        Number,
+        LOGIT,
+        Field(ge=0, le=MOST, description="Step down if the neighbour did not come closer, in log-odds."),
     ] = 0.2
     tag: ClassVar[Mapping[str, str]] = {"rule": "steps"}
 
@@ -143,7 +146,7 @@ class SeenSteps:
         """Return theta after the event, between `LEAST` and 1 - `LEAST` where it moves."""
         import numpy as np
 
-        step = event.weight * np.where(event.followed, np.where(event.gain > 0, self.gain, -self.loss), 0.0)
+        step = event.weight * np.where(event.followed, np.where(event.gain > 0, self.seen_gain, -self.seen_loss), 0.0)
         start = np.clip(np.asarray(theta, dtype=float), LEAST, 1 - LEAST)
         return np.where(step == 0, theta, np.clip(1 / (1 + np.exp(-step) * (1 - start) / start), LEAST, 1 - LEAST))
 
@@ -179,16 +182,6 @@ class WithSeen:
     own: TrustRule
     seen: SeenRule
 
-    @staticmethod
-    def maker(own: Callable[..., TrustRule], seen: Any) -> Callable[..., TrustRule]:
-        """Return a function of the numbers of both rules, by their names in `estimated`, that returns them together."""
-
-        def made(**numbers: float) -> TrustRule:
-            of_seen = [numbers.pop(name) for name in seen.estimated]
-            return WithSeen(own(**numbers), seen(*of_seen))
-
-        return made
-
     @property
     def uses_answer(self) -> bool:
         """As in the person's own rule."""
@@ -219,22 +212,68 @@ SEEN_RULES: dict[str, Any] = by_name(SeenNothing, SeenOutcome, SeenFollowed, See
 """The classes of the shipped rules, by name."""
 
 
+@dataclass(frozen=True)
+class SeenAlone:
+    """A rule of what is seen, as the trust rule of somebody who takes each suggestion for one to a neighbour.
+
+    So a rule of one's own is tried and identified as trust rules are. Suggestions whose outcome is not shown are to a
+    neighbour who is seen with half of the weight.
+
+    Attributes
+    ----------
+    seen : SeenRule
+    """
+
+    seen: SeenRule
+    uses_answer: ClassVar[bool] = True
+    feedback: ClassVar[Feedback] = "never"
+
+    @property
+    def __name__(self) -> str:
+        """The name in messages: that of the rule."""
+        return str(getattr(self.seen, "__name__", type(self.seen).__name__))
+
+    @property
+    def file(self) -> Any:
+        """The file of the rule; an AttributeError if it is in none."""
+        return self.seen.file  # type: ignore[attr-defined]
+
+    def update(self, theta: Floats, event: Event) -> Floats:
+        """Return theta after the event.
+
+        Raises
+        ------
+        UserCodeError
+            The rule's envelope does not contain it.
+        """
+        import numpy as np
+
+        weight = np.where(event.shown, 1.0, 0.5)
+        moved = self.seen.update(theta, SeenEvent(event.gain, event.followed, weight))
+        if (within := getattr(self.seen, "envelope", None)) is not None:
+            gain = float(np.min(event.gain)), float(np.max(event.gain))
+            least, most = within(theta, gain, float(np.max(weight)))
+            if (moved < least - 1e-12).any() or (moved > most + 1e-12).any():
+                raise UserCodeError("moves theta out of its `envelope`; expected the least and the largest theta there")
+        return moved
+
+
 def seen_rule(given: Any) -> SeenRule:
-    """Return the rule of a name or a table, whose field `rule` is the name; an object with `update` as it is.
+    """Return a rule of what is seen: that of a name, a table or FILE.py:RULE, or the user's own object.
 
     Raises
     ------
+    UserCodeError
+        It is a rule of the user's own that fails, or leads to what is impossible.
     ValueError
         There is no such rule, or it has no such field.
     """
-    if isinstance(given, str | Mapping):
-        shipped: SeenRule = of_table(SEEN_RULES, {"rule": given} if isinstance(given, str) else given)
-        return shipped
-    if not callable(getattr(given, "update", None)):
-        why = f"{given!r}; expected a name, or an object with a method update(theta, event)"
-        raise ValueError(why)  # noqa: TRY004
-    found: SeenRule = given
-    return found
+    found = given_as(
+        given, SEEN_RULES, UserSeenRule,
+        lambda rule: possible(rule if isinstance(rule, type) else SeenAlone(rule)), "a method update(theta, event)",
+    )  # fmt: skip
+    made: SeenRule = SEEN_RULES[found]() if isinstance(found, str) else found
+    return made
 
 
 def _rows(value: Any) -> Any:
@@ -259,10 +298,11 @@ class Neighbours:
     rule: Annotated[
         SeenRule,
         PlainValidator(seen_rule),
-        Expected('the name of a rule, or a table such as {rule = "outcome", eta_seen = 0.1}'),
+        Beside(function_beside),
+        Expected('the name of a rule, your own FILE.py:RULE, or a table such as {rule = "outcome", eta_seen = 0.1}'),
         Field(
-            description="How theta moves by what is seen of a neighbour: a table, or one of the names "
-            f"{', '.join(SEEN_RULES)}."
+            description=f"How theta moves by what is seen of a neighbour: one of the names {', '.join(SEEN_RULES)}, a "
+            "table, or your own FILE.py:RULE."
         ),
     ] = SeenNothing()
     sees: Annotated[
@@ -348,19 +388,10 @@ def seen_rule_of(given: Neighbours | None) -> SeenRule:
     return SeenNothing() if given is None else given.rule
 
 
-def name_of(given: Neighbours | None) -> str:
-    """Return the name of the rule by which theta moves by what is seen.
-
-    Raises
-    ------
-    ValueError
-        It is a rule of the user's own.
-    """
+def own_seen_rule(given: Neighbours | None) -> dict[str, TrustRule]:
+    """Return the rule by which theta moves by what is seen, by its field, if it is the user's own."""
     rule = seen_rule_of(given)
-    name = next((name for name, kind in SEEN_RULES.items() if kind is type(rule)), None)
-    if name is None:
-        raise ValueError(f"neighbours.rule: {type(rule).__name__}; expected one of {', '.join(SEEN_RULES)}")
-    return name
+    return {} if is_declared(type(rule)) else {"neighbours.rule": SeenAlone(rule)}
 
 
 def moves_theta(given: Neighbours | None) -> bool:

@@ -78,8 +78,8 @@ class ThetaReach:
                 )
         low, high = [grid.theta], [grid.theta]
         for _ in range(most):
-            low.append(np.min([within(low[-1], *one)[0] for one in events], axis=0))
-            high.append(np.max([within(high[-1], *one)[1] for one in events], axis=0))
+            low.append(np.min([low[-1], *(within(low[-1], *one)[0] for one in events)], axis=0))
+            high.append(np.max([high[-1], *(within(high[-1], *one)[1] for one in events)], axis=0))
         return cls(grid, np.array(low), np.array(high))
 
     @classmethod

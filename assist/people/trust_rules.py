@@ -355,20 +355,19 @@ RULES: dict[str, Callable[..., TrustRule]] = by_name(
 """Classes of the shipped rules, or functions that make them, by name."""
 
 
-def described(name: str) -> str:
-    """Return the sentence that describes a shipped rule."""
-    return str(RULES[name].__doc__).split("\n", 1)[0].removeprefix("Return the rule of ").rstrip(".")
+def described(make: Callable[..., Any]) -> str:
+    """Return the sentence that describes a shipped rule, of which this is the class or function that makes it."""
+    return str(make.__doc__).split("\n", 1)[0].removeprefix("Return the rule of ").rstrip(".")
 
 
-def fields_of(name: str) -> dict[str, Any]:
+def fields_of(make: Callable[..., Any]) -> dict[str, Any]:
     """Return the annotations of the fields that a shipped rule is made with."""
-    make = RULES[name]
     return {field: annotation_of(type(make()), field) for field in inspect.signature(make).parameters}
 
 
-def fitted_of(name: str) -> dict[str, Fitted]:
+def fitted_of(make: Callable[..., Any]) -> dict[str, Fitted]:
     """Return the marks of those fields of a shipped rule that are estimated from logs."""
-    found = ((field, one) for field, kind in fields_of(name).items() for one in marks(kind) if isinstance(one, Fitted))
+    found = ((field, one) for field, kind in fields_of(make).items() for one in marks(kind) if isinstance(one, Fitted))
     return dict(found)
 
 

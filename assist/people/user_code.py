@@ -201,7 +201,16 @@ class UserChoiceModel(UserObject):
         return self.loaded.value
 
 
-class UserTrustRule(UserObject):
+class UserRule(UserObject):
+    """A user's rule by which theta moves."""
+
+    def update(self, theta: Floats, event: Any, *count: Floats | Bools | int) -> Floats:
+        """Return theta after the event; `count` is given where the rule counts."""
+        found: Floats = self.result(self.loaded.update, theta, event, *count)
+        return found
+
+
+class UserTrustRule(UserRule):
     """A user's trust rule: a `TrustRule`."""
 
     @property
@@ -231,10 +240,15 @@ class UserTrustRule(UserObject):
         method = self.loaded.counted
         return lambda count, event: self.result(method, count, event)
 
-    def update(self, theta: Floats, event: Any, *count: Floats | Bools | int) -> Floats:
-        """Return theta after the event; `count` is given where the rule counts."""
-        found: Floats = self.result(self.loaded.update, theta, event, *count)
-        return found
+
+class UserSeenRule(UserRule):
+    """A user's rule of what people see of their neighbours: a `SeenRule`."""
+
+    @property
+    def envelope(self) -> Callable[..., tuple[Floats, Floats]]:
+        """How far theta can come by an event; an AttributeError if the rule does not say it."""
+        method = self.loaded.envelope
+        return lambda theta, gain, weight: self.result(method, theta, gain, weight)
 
 
 _loaded = cache(load)

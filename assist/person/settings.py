@@ -24,7 +24,7 @@ from ..declare.declared import (
     whole_number,
 )
 from ..people.given_rules import rule_given
-from ..people.neighbours import Watched, WithSeen, moves_theta, seen_rule_of
+from ..people.neighbours import Watched, WithSeen, moves_theta, own_seen_rule, seen_rule_of
 from ..people.trust_rules import RULES, TrustRule, trust_rule
 from ..people.user_code import function_beside
 from .observation_model import ObservationModel
@@ -58,8 +58,8 @@ def require_setting(given: Any) -> None:
 
 
 def own_rules(setting: Setting) -> dict[str, TrustRule]:
-    """Return the trust rules of a setting that are the user's own, by their fields."""
-    rules = {"trust": setting.trust, "believed_trust": setting.believed_trust}
+    """Return the rules of a setting that are the user's own, by their fields; what is seen as `SeenAlone`."""
+    rules = {"trust": setting.trust, "believed_trust": setting.believed_trust} | own_seen_rule(setting.neighbours)
     return {n: rule for n, rule in rules.items() if not isinstance(rule, str | None) and not is_declared(type(rule))}
 
 

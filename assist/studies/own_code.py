@@ -1,4 +1,4 @@
-"""Trials of a user's own code: policies, choice models, trust rules and terms.
+"""Trials of a user's own code: policies, choice models, rules by which theta moves, and terms.
 
 `check` calls a function in the situations in which it will be called later: one person and three, one robot and two,
 robots that differ, three possible goals, dead ends, people with habits, truncated tasks, actions that are missed. Each
@@ -20,7 +20,7 @@ from ..people.user_code import UserCodeError, described, object_of, parse
 from ..people.user_code import load as load_function
 from .own_code_trials import TRIALS, Place
 
-Kind = Literal["policy", "people", "trust", "term"]
+Kind = Literal["policy", "people", "trust", "neighbours", "term"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Checked:
     Attributes
     ----------
     name : str
-    kind : "policy", "people", "trust" or "term"
+    kind : "policy", "people", "trust", "neighbours" or "term"
     trials : tuple of Trial
     """
 
@@ -77,16 +77,17 @@ class Checked:
 
 @shows_progress
 def check(code: Any, kind: Kind | None = None, *, progress: Wanted = None) -> Checked:
-    """Try a policy, choice model, trust rule or term of one's own, and return what is wrong with it.
+    """Try a policy, choice model, rule or term of one's own, and return what is wrong with it.
 
     Parameters
     ----------
-    code : str, callable or TrustRule
+    code : str, callable, TrustRule or SeenRule
         The function or rule itself, or `FILE.py:NAME`. A class without arguments stands for its object.
-    kind : "policy", "people", "trust" or "term", optional
-        What it is: a team policy, a choice model of people, a trust rule or a term of a choice. Unless given, it is a
-        rule if it has a method `update`, a choice model if it takes three arguments, a term if its argument is
-        annotated as a `Situation`, and else a policy.
+    kind : "policy", "people", "trust", "neighbours" or "term", optional
+        What it is: a team policy, a choice model of people, a trust rule, a rule of what they see of neighbours, or a
+        term of a choice. Unless given, it is a trust rule if it has a method `update`, one of neighbours if it has
+        neither `uses_answer` nor `feedback` beside it, a choice model if it takes three arguments, a term if its
+        argument is annotated as a `Situation`, and else a policy.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes: the number of situations that were tried.
 
@@ -117,7 +118,7 @@ def check(code: Any, kind: Kind | None = None, *, progress: Wanted = None) -> Ch
 def kind_of(code: Any) -> Kind:
     """Return what code is, as far as its form tells; see `check`."""
     if hasattr(code, "update"):
-        return "trust"
+        return "trust" if hasattr(code, "uses_answer") or hasattr(code, "feedback") else "neighbours"
     try:
         arguments = list(inspect.signature(code).parameters.values())
     except (TypeError, ValueError):

@@ -22,10 +22,11 @@ from ..people.decision import Floats, perceived_cost
 from ..people.given_rules import fault_of_attributes, fault_of_updates, possible
 from ..people.goals import Goals
 from ..people.memory import remembered
+from ..people.neighbours import Neighbours, SeenAlone, SeenRule
 from ..people.ranges import Population
 from ..people.terms import Situation
 from ..people.trust_rules import TrustRule
-from ..people.user_code import UserChoiceModel, UserCodeError, UserTrustRule
+from ..people.user_code import UserChoiceModel, UserCodeError, UserSeenRule, UserTrustRule
 from ..person.observation_model import ObservationModel
 from ..person.robots import Robot
 from ..person.settings import Setting
@@ -200,7 +201,25 @@ def _values(term: Callable[[Situation], Floats], task: str) -> str | None:
     return None
 
 
+def of_neighbours(code: SeenRule, place: Place) -> Trials:
+    """Yield the trials of a rule of what people see of their neighbours."""
+    rule = code if place is None else UserSeenRule(*place)
+    yield "suggestions to neighbours of all kinds", partial(fault_of_updates, SeenAlone(rule))
+    try:
+        possible(SeenAlone(rule))
+    except UserCodeError:
+        return  # it says what these said
+
+    def run(policy: str) -> None:
+        setting = Setting(neighbours=Neighbours(rule=rule))
+        drawn = Pool.sample(_table(TINY), 4, seed=0, setting=setting, progress=False)
+        simulate(drawn, policy, humans=3, episodes=MANY, seed=0, progress=False)
+
+    yield "people whose theta moves so, and a robot that knows it", partial(run, "attention")
+    yield "a robot that considers those who see it", partial(run, "attention-outlook")
+
+
 TRIALS: dict[str, Callable[[Any, Place], Trials]] = {
-    "policy": of_policy, "people": of_people, "trust": of_trust, "term": of_term,
+    "policy": of_policy, "people": of_people, "trust": of_trust, "neighbours": of_neighbours, "term": of_term,
 }  # fmt: skip
 """The trials of each kind of code."""

@@ -39,7 +39,7 @@ from ..declare.declared import (
     plain,
 )  # fmt: skip
 from ..people.ranges import Population
-from ..people.user_code import UserObject, sources
+from ..people.user_code import sources
 from ..person.settings import Setting, own_rules
 from ..team.policy_names import BASELINES
 
@@ -297,7 +297,7 @@ class Study(StudyPlan):
             *models,
             *(rule for setting in settings for rule in own_rules(setting).values()),
         )
-        own = [*(path for _, (path, _) in self.own_policies), *(m.file for m in named_in if isinstance(m, UserObject))]
+        own = [*(path for _, (path, _) in self.own_policies), *(m.file for m in named_in if hasattr(m, "file"))]
         for path in (*named, *(source for file in own for source in sources(file))):
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         for _, (_, function) in self.own_policies:

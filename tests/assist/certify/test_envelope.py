@@ -159,8 +159,31 @@ class Boundless:
 class Jumps(Boundless):
     """A rule after which those who trust little trust most."""
 
+    def update(self, theta: np.ndarray, event: SeenEvent) -> np.ndarray:  # noqa: ARG002
+        return np.where(theta < 0.5, 1.0, theta)
+
     def envelope(self, theta: np.ndarray, gain: tuple[float, float], weight: float) -> tuple[np.ndarray, np.ndarray]:  # noqa: ARG002
         return theta, np.where(theta < 0.5, 1.0, theta)
+
+
+@dataclass(frozen=True)
+class Falls:
+    """A rule by which theta falls whatever is seen: its envelope leaves out who sees nothing."""
+
+    def update(self, theta: np.ndarray, event: SeenEvent) -> np.ndarray:
+        return np.maximum(theta - 0.4 * event.weight, 0)
+
+    def envelope(self, theta: np.ndarray, gain: tuple[float, float], weight: float) -> tuple[np.ndarray, np.ndarray]:  # noqa: ARG002
+        return np.maximum(theta - 0.4 * weight, 0), np.maximum(theta - 0.2 * weight, 0)
+
+
+def test_who_sees_nothing_in_a_step_keeps_their_theta() -> None:
+    pool = pool_of(TASKS["three steps"], Falls(), c_suggest=0.0, c_move=0.0, trust="constant")
+    optimum, bound = informed_optimum(pool), upper_bound(pool, [0, 1])
+    assert optimum - 1e-6 <= bound.upper
+    envelope = Envelope.of(pool, (0, 1), (0,))
+    assert isinstance(envelope, Envelope)
+    assert (envelope.reach.high == envelope.reach.grid.theta).all()
 
 
 def test_refusals(tiny: Table) -> None:

@@ -91,7 +91,8 @@ def test_a_family_may_have_the_parameters_of_both_rules() -> None:
     assert list(family.ranges) == ["eta", "rise", "fall"]
     assert family.rule((0.2, 0.1, 0.3)) == WithSeen(EquationSeven(0.2), SeenFollowed(0.1, 0.3))
     assert parameters_of(family.rule((0.2, 0.1, 0.3)))["fall"] == 0.3
-    assert family.tried == ((0.1, 0.03, 0.03), (0.1, 0.1, 0.1), (0.3, 0.03, 0.03), (0.3, 0.1, 0.1))
+    steps = [(0.03, 0.03), (0.03, 0.1), (0.1, 0.03), (0.1, 0.1)]
+    assert family.tried == tuple((eta, *both) for eta in (0.1, 0.3) for both in steps)
 
 
 @dataclass(frozen=True)
@@ -260,9 +261,6 @@ def test_several_goals_are_refused_and_a_log_without_places_has_the_order_of_nam
     evidence = replayed({"own": tiny, "other": tiny}, trace)
     with pytest.raises(ValueError, match="neighbours: expected a log whose goal is known"):
         with_neighbours(evidence, graph)
-    own: Any = FallsAfterThree()
-    with pytest.raises(ValueError, match=r"neighbours\.rule: FallsAfterThree; expected one of none, outcome, followed"):
-        fit_influence(found, "constant", Method(neighbours=Neighbours(rule=own)))
     first_two = dict(islice(seen_families(constant()).items(), 2))
     assert [row.difference is None for row in compare_rules(found, rules=first_two, folds=2).scores] == [True, False]
     with pytest.raises(ValueError, match="trust 'trusting'; expected one of "):

@@ -94,7 +94,7 @@ def test_all_that_a_shipped_rule_needs_is_its_class(monkeypatch: pytest.MonkeyPa
     assert setting.trust == Sluggish(0.4)
     assert Setting(**plain(setting)) == setting
     assert of_table(RULES, plain_rule(Sluggish(0.3))) == Sluggish(0.3)
-    assert described("sluggish") == "A rule by which theta moves by a share of the way"
+    assert described(Sluggish) == "A rule by which theta moves by a share of the way"
     family = families(Method())["sluggish"]
     assert family.tried == ((np.log(0.1),), (np.log(0.3),))
     assert family.rule((np.log(0.5),)) == Sluggish(0.5)
@@ -103,7 +103,7 @@ def test_all_that_a_shipped_rule_needs_is_its_class(monkeypatch: pytest.MonkeyPa
 
 def test_every_shipped_rule_is_described_and_can_be_tried() -> None:
     assert set(families(Method())) == set(RULES)
-    assert all(described(name) for name in RULES)
+    assert all(described(make) for make in RULES.values())
     assert all(name in sentences(Setting)["trust"] for name in RULES)
     known = families(Method(eta=0.3, utility_scale=2.0))["paper"]
     assert (known.ranges, known.rule(())) == ({}, EquationSeven(0.3, 2.0))

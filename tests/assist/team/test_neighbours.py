@@ -60,7 +60,7 @@ def moved_by_hand(rule: SeenRule, theta: float, gain: float, followed: bool, wei
     if not followed:
         return theta
     at = min(max(theta, 0.01), 0.99)
-    odds = at / (1 - at) * np.exp(weight * (rule.gain if gain > 0 else -rule.loss))
+    odds = at / (1 - at) * np.exp(weight * (rule.seen_gain if gain > 0 else -rule.seen_loss))
     return min(max(odds / (1 + odds), 0.01), 0.99)
 
 
@@ -131,7 +131,7 @@ def joint_filter(
 RULES = {
     "outcome": SeenOutcome(eta_seen=0.15, utility_scale=1.0),
     "followed": SeenFollowed(rise=0.1, fall=0.07),
-    "steps": SeenSteps(gain=0.4, loss=0.7),
+    "steps": SeenSteps(seen_gain=0.4, seen_loss=0.7),
 }
 
 
@@ -224,7 +224,7 @@ def test_graphs() -> None:
     [
         ({"sees": "nobody"}, 'sees \'nobody\': expected "everybody" or "next"'),
         ({"weight": 2}, "weight 2: expected a number from 0 to 1"),
-        ({"rule": "outcom"}, "rule: rule 'outcom'; did you mean 'outcome'"),
+        ({"rule": "outcom"}, "rule: 'outcom'; did you mean 'outcome'"),
         ({"rule": {"rule": "outcome", "eta_sen": 0.1}}, "rule: eta_sen: unknown; did you mean 'eta_seen'"),
         ({"rule": {"eta_seen": 0.1}}, "rule: rule is missing; expected one of none, outcome, followed, steps"),
         ({"rule": 3}, "rule: 3; expected a name, or an object with a method update"),
