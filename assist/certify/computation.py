@@ -190,7 +190,7 @@ class Computation:
 
     def needs_prices(self, steps: int) -> bool:
         """Return whether prices of some steps can lower the bound; otherwise robots never have to choose."""
-        return steps > 0 and (len(self.team) > len(self.pool.setting.robots) or self.extra is not None)
+        return steps > 0 and (self.pool.setting.fleet.scarce_for(len(self.team)) or self.extra is not None)
 
     def optimised(self, groups: list[SubproblemGroup], steps: int, share: float) -> Floats:
         """Return prices that are optimised until a share of the time for people's problems has passed."""

@@ -130,9 +130,9 @@ class TeamBound(Result):
         """Return the priority policy at this bound's prices, one for each step, for this team from its beginning.
 
         It is better than priority at a single price where many people wait for the robot. Without prices it is that
-        policy, at a price of 0 if each of several people has a robot.
+        policy, at a price of 0 if everybody has a robot.
         """
-        without = 0.0 if 1 < len(self.team) <= len(self.pool.setting.robots) else None
+        without = None if self.pool.setting.fleet.scarce_for(len(self.team)) else 0.0
         return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else without)
 
     def certify(
@@ -209,7 +209,7 @@ def upper_bound(
     recorder = sample_paths.recorder(run, groups, price, together) if run.paths and not run.needs_outer else None
     relaxed, sampled = run.relaxed(groups, price, run.start + run.for_people, recorder), None
     try:
-        if run.paths and len(members) > len(pool.setting.robots):  # otherwise no robot ever has to choose
+        if run.paths and pool.setting.fleet.scarce_for(len(members)):
             relaxed = sample_paths.without_prices(run, relaxed, recorder)
             sampled = sample_paths.sampled(run, relaxed, together)
     except KeyboardInterrupt as error:

@@ -79,7 +79,7 @@ def bound(
         _show_alone(found.upper, len(found.team), len(found.team), as_json=as_json)
         return
     best = max(certificates, key=lambda certificate: certificate.value)
-    sampled = samples and len(found.team) > len(made.pool.setting.robots)
+    sampled = samples and made.pool.setting.fleet.scarce_for(len(found.team))
     if as_json:
         if sampled and found.sampled is None:
             show_samples(found, err=True)

@@ -234,11 +234,6 @@ class Desk(Knowledge):
         return self._step
 
     @property
-    def robot(self) -> str | None:
-        """The person at whom the robot is, or to whom it is under way; None at its base."""
-        return self.robots[0]
-
-    @property
     def robots(self) -> tuple[str | None, ...]:
         """For each robot, the person at whom it is, or to whom it is under way; None at its base."""
         return tuple(None if place == BASE else self.roster.records[place].name for place in self._places.at)

@@ -24,7 +24,7 @@ from ..drawing.picture import Artist
 from ..people.action_names import Matcher, Words, words_of
 from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
-from ..people.goals import Goals, first_of, require_one_goal, text_of_goals
+from ..people.goals import Goals, first_of, text_of_goals
 from ..people.ranges import Population
 from ..people.trust_rules import RULES
 from ..person.assumptions import Assumptions
@@ -64,8 +64,6 @@ class LiveTask:
         policy: Policy | None = None,
     ) -> None:
         self.task, self.prior = task, prior
-        if policy is None:
-            require_one_goal(task, prior.weights)
         self.policy = policy or (
             task if isinstance(task, Policy) else policy_on(task, Assumptions.of(setting, None, prior))
         )

@@ -73,7 +73,7 @@ class Team(History[TeamRecord]):
         if like is not None:
             self.desk.share(like.desk)
         for task in self.tasks.values():
-            require_one_goal(task, self.desk.population.weights)
+            require_one_goal(task, self.desk.population.weights)  # at once, and not when somebody begins the task
         self._nothing = (IDLE,) * len(self.desk.setting.robots)
         self._advices = self._nothing
         self._known: dict[str, PersonState] = {}

@@ -70,6 +70,10 @@ class Fleet:
     def __len__(self) -> int:
         return len(self.robots)
 
+    def scarce_for(self, people: int) -> bool:
+        """Return whether the robots ever have to choose among so many people: there are fewer robots."""
+        return len(self) < people
+
     def each(self, name: str) -> NDArray[Any]:
         """Return the value of a field for each robot, shape (M,)."""
         return np.array([getattr(robot, name) for robot in self.robots])

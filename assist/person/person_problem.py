@@ -15,7 +15,7 @@ from planner.system.arrays import outline
 from ..people.arguments import whole
 from ..people.choices import Choices
 from ..people.decision import Ints
-from ..people.goals import Goals, each_of, first_of, known_task, require_one_goal
+from ..people.goals import Goals, each_of, first_of, known_task
 from ..people.human import Human
 from ..people.memory import choices_of
 from ..people.memory_on_demand import memory_of, on_demand
@@ -185,7 +185,6 @@ class PersonProblem:
         if misconception is not None:
             human = Human(1.0, 0.5, misconception.sigma, misconception)
         assumed = Assumptions.of(setting, human, people)
-        require_one_goal(known, people.weights)
         if is_whole(known, states):
             choices = choices_of(known, people.weights)
             return cls(known, assumed.problem(choices), choices.of_task(np.arange(choices.task_states)))

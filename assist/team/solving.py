@@ -13,7 +13,7 @@ from planner.system.progress import Progress
 
 from ..people.arguments import require_goal, require_options, whole
 from ..people.choices import Choices
-from ..people.goals import Goals, costs_to_go, each_of, first_of, require_one_goal
+from ..people.goals import Goals, costs_to_go, each_of, first_of
 from ..people.human import Human
 from ..people.memory_on_demand import on_demand
 from ..people.ranges import Population
@@ -86,7 +86,6 @@ def solved_on_demand(
     states = whole("states", solving.get("states", WHOLE))
     if (region := solving.get("region")) is not None:
         whole("region", region, 1)
-    require_one_goal(table, terms)
     asks = setting.c_ask is not None  # worth of answers: exact where it is affordable
     most = MAX_ENUMERATED if asks or solver != qmdp or terms else states
     choices: Choices | None = None

@@ -278,16 +278,15 @@ class TeamState:
         """
         person, action = np.asarray(person), np.asarray(action)
         (N, K), M, there = self.x.shape, self.robots, f", {NOBODY} for a robot that stays"
-        if person.shape == (N,) and M == 1:
-            person = person[:, None]
+        given, person = person, person[:, None] if person.ndim == 1 else person
         if person.shape != (N, M) or person.dtype.kind not in "iu":
             each = f"each of {N} teams and {M} robot{'s' * (M > 1)}"
             raise self.refused(
-                f"person, {_kind(person)}: expected whole numbers, shape {(N, M)}, one for {each}{there}"
+                f"person, {_described(given)}: expected whole numbers, shape {(N, M)}, one for {each}{there}"
             )
         if action.shape not in [(N, K), (N, M, K)] or action.dtype.kind not in "iu":
             raise self.refused(
-                f"action, {_kind(action)}: expected whole numbers, shape {(N, K)}, a robot action for each person"
+                f"action, {_described(action)}: expected whole numbers, shape {(N, K)}, a robot action for each person"
             )
         wrong = (person < NOBODY) | (person >= K)
         if wrong.any():
@@ -298,7 +297,7 @@ class TeamState:
         return TeamAction(person, np.where(speaks, said, 0))
 
 
-def _kind(array: NDArray[Any]) -> str:
+def _described(array: NDArray[Any]) -> str:
     return f"{array.dtype} array of shape {array.shape}"
 
 

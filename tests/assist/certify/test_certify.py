@@ -394,10 +394,10 @@ def test_each_robot_of_the_relaxed_problem_is_paid_the_discounted_prices(pool: P
 
 
 def test_the_policy_of_a_bound_has_its_prices(pool: Pool, strangers: Pool) -> None:
-    """Without any, attention is free if each of several people has a robot, and else costs as much as usual."""
+    """Without any, attention is free if everybody has a robot, and else costs as much as usual."""
     assert bound_at(pool, (0, 1), [0.3, 0.2]).policy().price.tolist() == [0.3, 0.2, 0.0]
     for base, robots, team, expected in (
-        (pool, 2, (0, 1), 0.0), (pool, 1, (0, 1), 0.15), (pool, 1, (0,), 0.15), (strangers, 2, (0, 1, 2), 0.15),
+        (pool, 2, (0, 1), 0.0), (pool, 1, (0, 1), 0.15), (pool, 1, (0,), 0.0), (strangers, 2, (0, 1, 2), 0.15),
     ):  # fmt: skip
         several = replace(base, setting=replace(base.setting, robots=robots))
         assert bound_at(several, team, []).policy().price == pytest.approx([expected])

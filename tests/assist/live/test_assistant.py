@@ -151,8 +151,8 @@ def test_a_large_task_is_looked_at_where_people_are(tiny: Table, monkeypatch: py
     rng, said = np.random.default_rng(1), dict.fromkeys(desks, 0)
     for _ in range(60):
         for desk in desks:
-            if desk.robot is not None:
-                desk.arrived(desk.robot)
+            if desk.robots[0] is not None:
+                desk.arrived(desk.robots[0])
             advice = desk.recommend()
             if advice.person is not None and advice.suggestion is not None:
                 said[desk] += 1
@@ -367,18 +367,18 @@ def test_a_large_team_has_room_for_more(tiny: Table) -> None:
 
 def test_the_robot_is_where_it_says(tiny: Table) -> None:
     desk = Assistant(tiny, ["ann", "bob"], setting=Setting(c_suggest=0.05, c_move=0.1, travel_time=1))
-    assert desk.robot is None
+    assert desk.robots[0] is None
     for action in ("(fetch box-a)", WRONG):
         desk.observe("bob", action)
     advice = desk.recommend()
     assert (advice.person, advice.suggestion, advice.arrived) == ("bob", None, False)
     desk.observe("ann", "(fetch box-a)")
     assert desk.recommend().arrived is False
-    assert desk.robot == "bob"
+    assert desk.robots[0] == "bob"
     desk.arrived("bob")
     assert desk.recommend().suggestion == "(remove hammer slot-2 box-a)"
     desk.arrived()
-    assert desk.robot is None
+    assert desk.robots[0] is None
 
 
 @pytest.mark.parametrize(
