@@ -192,7 +192,7 @@ def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choic
     setting = Setting(c_suggest=0.1, c_move=0.5, travel_time=2.0)
     pool = Pool.sample(tiny_choices, 4, seed=1, setting=setting)
     runs = [
-        simulate(pool, pool.policy(name), humans=4, episodes=1000, seed=0, world="model").discounted_return
+        simulate(pool, pool.policy(name), humans=4, episodes=400, seed=0, world="model").discounted_return
         for name in ("priority", "attention")
     ]
     ahead = runs[0] - runs[1]

@@ -196,7 +196,7 @@ def test_errors_of_observation_cost_return_and_people_act_alike_without_a_robot(
         setting = Setting(c_suggest=0.2, suggestions="all", observation=ObservationModel(share, share))
         pool = Pool.sample(tiny_choices, 3, seed=1, setting=setting)
         for policy in ("none", "attention", "priority"):
-            found = simulate(pool, policy, humans=2, episodes=200, seed=4)
+            found = simulate(pool, policy, humans=2, episodes=100, seed=4)
             returns[policy, share] = found.discounted_return.mean()
     assert returns["none", 0.0] == returns["none", 0.3]
     for policy in ("attention", "priority"):

@@ -59,19 +59,19 @@ def test_only_people_who_are_drawn_are_solved_and_results_are_the_same(tiny_choi
         return qmdp(pomdp)
 
     setting = Setting(c_suggest=0.1, c_move=0.1)
-    lazy = Pool.sample(tiny_choices, 12, seed=0, setting=setting, solver=solver)
+    lazy = Pool.sample(tiny_choices, 8, seed=0, setting=setting, solver=solver)
     assert not solved
     told: list[tuple[str, int, int | None]] = []
     found = simulate(lazy, policy, humans=2, episodes=3, seed=4, jobs=2, progress=lambda *what: told.append(what))
     drawn = set(found.people.ravel().tolist())
-    assert 2 <= len(drawn) < 12
+    assert 2 <= len(drawn) < 8
     needs = policy.startswith("attention")  # priority has its own problems; the other policies have none
     assert {id(one) for one in solved} == {id(lazy.policies[n].pomdp) for n in drawn if needs}
     assert len(solved) == len(drawn) * needs  # once each
     if policy not in ("none", "reactive"):
         assert ("solving people's POMDPs", len(drawn), len(drawn)) in told
     assert told[-1] == (f"simulating {policy}", 3, 3)
-    eager = Pool.sample(tiny_choices, 12, seed=0, setting=setting)
+    eager = Pool.sample(tiny_choices, 8, seed=0, setting=setting)
     for one in eager.policies:
         one.prepare()
     assert list(simulate(eager, policy, humans=2, episodes=3, seed=4)) == list(found)

@@ -47,7 +47,7 @@ from planner import LimitError, Table
 @pytest.mark.parametrize("name", POLICIES)
 def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
     trace: Trace = []
-    episodes = run(pool, name, 3, 2 if name == "rollout" else 8, 1, trace=trace)
+    episodes = run(pool, name, 3, 1 if name == "rollout" else 4, 1, trace=trace)
     for episode in episodes:
         rows = [row for row in trace if row["episode"] == f"{name}-{episode.episode}"]
         discounted = sum(pool.setting.gamma ** row["step"] * row["reward"] for row in rows)
@@ -170,7 +170,7 @@ def test_episodes_do_not_depend_on_the_number_of_processes(pool: Pool) -> None:
 
 
 def test_policies_meet_the_same_people(pool: Pool) -> None:
-    for episodes in zip(*(run(pool, name, 3, 2, 5) for name in POLICIES), strict=True):
+    for episodes in zip(*(run(pool, name, 3, 1, 5) for name in POLICIES), strict=True):
         assert len({episode.people for episode in episodes}) == 1
         assert len(set(episodes[0].people)) == 3
 
