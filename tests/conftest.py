@@ -29,21 +29,18 @@ from hypothesis import HealthCheck, settings
 from numba.core import event
 from translator import Translator
 
-from assist.certify import computation
-from assist.certify.options import BoundOptions
+from assist.certify import BoundOptions, computation
 from assist.cli import main
 from assist.cli.options import task
 from assist.cli.output import solve_progress
 from assist.people.choices import Choices
 from assist.person.settings import Setting
-from assist.studies.protocol import read
+from assist.studies import Study, read
 from assist.studies.reports import study_report
-from assist.studies.study import Study
 from assist.team.pool import Pool
-from planner import Instance, Limits, Table, find_instances, load, sweep
+from planner import Instance, Limits, PDDLError, Table, find_instances, load, sweep
 from planner.grounding import fast_downward
 from planner.pddl import reader, writer
-from planner.pddl.instances import PDDLError
 from planner.pddl.validation import parsed
 from planner.system import progress
 from planner.system.limits import NO_LIMITS

@@ -11,8 +11,7 @@ from gates_episodes import AXES, PLAIN, Feature, task
 from gates_records import near
 
 from assist.certify import BoundOptions, upper_bound
-from assist.person import Setting
-from assist.person.solver import solve
+from assist.person import Setting, solve
 from assist.team import Pool
 from planner import LimitError
 

@@ -14,13 +14,9 @@ import numpy as np
 from gates_records import first_difference, hashed, weights
 from silence import ThreeInARow
 
-from assist.people import Goals, Population
-from assist.people.neighbours import Neighbours
-from assist.people.real_people import advice_takers
-from assist.person import ObservationModel, Setting
-from assist.person.robots import Robot
-from assist.team import POLICIES, Episodes, Pool, simulate
-from assist.team.schedule import Schedule
+from assist.people import Goals, Neighbours, Population, advice_takers
+from assist.person import ObservationModel, Robot, Setting
+from assist.team import POLICIES, Episodes, Pool, Schedule, simulate
 from assist.team.trace import Trace
 from planner import CostToGo, LimitError, OnDemand, load, sweep, sweep_goals
 

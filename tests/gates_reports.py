@@ -11,8 +11,7 @@ from gates_episodes import task
 from gates_records import NEAR, NEAR_ELSEWHERE, near, weights
 
 from assist.live import Assistant
-from assist.person import ObservationModel, Setting
-from assist.person.robots import Robot
+from assist.person import ObservationModel, Robot, Setting
 from planner import LimitError
 
 CALLS = 40

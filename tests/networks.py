@@ -16,8 +16,7 @@ from pathlib import Path
 from starlette.types import ASGIApp
 from userstudies import written
 
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.session import StudySession
+from assist.studies.userstudy import StudySession, read
 from assist.web.app import make_app
 from assist.web.server import listen, server_of
 from assist.web.tokens import AccessTokens

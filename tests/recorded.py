@@ -9,13 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from assist.learning.advice_log import AdviceLog
+from assist.learning import AdviceLog, Entry, EvaluatedStates, Log, Observations, observe
 from assist.learning.advice_model import LAPSE, AdviceModel
-from assist.learning.log import Entry, Log
-from assist.learning.observations import EvaluatedStates, Observations, observe
 from assist.learning.replay import replay
-from assist.people.choices import Choices
-from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
+from assist.people import Choices, choice, influence, perceived_cost, perceived_value, trust
 from planner import Table
 
 RIGHT, WRONG, BACK = "(place hammer slot-1 box-a)", "(place hammer slot-2 box-a)", "(return box-a)"

@@ -10,12 +10,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from test_qmdp import GRID
 
-from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel
-from assist.people.misconception import perceived_cost_to_go
-from assist.person.pomdp import AssistPOMDP
-from assist.person.robots import OfRobots
-from assist.person.solver import Solution, solve
+from assist.people import Choices, Human, HumanModel, perceived_cost_to_go
+from assist.person import AssistPOMDP, OfRobots, Solution, solve
 from planner import Instance
 
 

@@ -23,11 +23,10 @@ from typing import Any
 
 from sessions import EASY, SETTING, all_of
 
+from assist.live import Acted, Joined, JournalError, Session
 from assist.live.event_base import TeamEvent
-from assist.live.events import Acted, Joined
 from assist.live.live_task import LiveTask
-from assist.live.session import Session
-from assist.live.store import JournalError, stored
+from assist.live.store import stored
 from assist.person.policy import Policy
 
 KINDS = ("error", "full", "kill")

@@ -10,10 +10,8 @@ import numpy as np
 from assist.person.known_states import KnownStates
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.travel import Travel
-from assist.team.episodes import Episodes
-from assist.team.pool import Pool
+from assist.team import BASE, Episodes, Pool, TeamState
 from assist.team.simulate import simulate
-from assist.team.state import BASE, TeamState
 
 
 def state(

@@ -11,10 +11,9 @@ from conftest import KITTING
 
 from assist.live.event_base import TeamEvent
 from assist.live.events import kinds
+from assist.studies.userstudy import StudySession, read
 from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.events import StudyEvent
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.session import StudySession
 from assist.studies.userstudy.tables import COLUMNS
 from planner import Table
 

@@ -18,16 +18,13 @@ from test_mqtt import Broker, Here, broker, settings_file
 
 from assist.connect.bridges.ordering import FAR, InOrder
 from assist.declare import Refusal
-from assist.live import Assistant, Session
-from assist.live.events import Acted, Elapsed
+from assist.live import Acted, Assistant, Elapsed, JournalError, Session
 from assist.live.live_setting import LiveSetting
 from assist.live.names import is_name, name_of
-from assist.live.store import JournalError
 from assist.people.action_names import in_pddl
 from assist.person.settings import Setting
 from assist.web.server import ServedTeam
-from planner import Table
-from planner.system.errors import InputFileError
+from planner import InputFileError, Table
 
 __all__ = ["broker"]
 NAMES = [

@@ -17,7 +17,7 @@ from conftest import KITTING, invoke, write_instance
 
 import planner.costtogo.portfolio
 from assist.cli.output.solve_records import Answers
-from planner import LimitError, Limits, PDDLError, Table, astar, instance, load
+from planner import LimitError, Limits, MismatchError, PDDLError, Table, astar, instance, load
 from planner.batch import solve_instance as solving
 from planner.batch.results_folder import SWEEPING, SolveOptions
 from planner.batch.solve_instance import solve_instance
@@ -26,7 +26,6 @@ from planner.grounding import fast_downward
 from planner.grounding.semantics import plan_cost
 from planner.pddl import validation
 from planner.pddl.validation import LATE
-from planner.system.errors import MismatchError
 
 pytestmark = pytest.mark.cases
 

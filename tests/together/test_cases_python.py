@@ -30,8 +30,7 @@ from assist.learning import (
 )
 from assist.people import TERMS, Choices
 from assist.person.person_problem import PersonProblem
-from planner import OnDemand, astar, cost_to_go, load, sweep, sweep_goals
-from planner.system.errors import InputFileError
+from planner import InputFileError, OnDemand, astar, cost_to_go, load, sweep, sweep_goals
 
 pytestmark = pytest.mark.cases
 

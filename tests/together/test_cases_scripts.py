@@ -24,8 +24,7 @@ from assist.studies.reports.report_files import html_page
 from assist.studies.reports.study_report import Report
 from assist.studies.reports.userstudy_report import write_report
 from assist.studies.study import Study
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.session import StudySession
+from assist.studies.userstudy import StudySession, read
 from planner import Table, cost_to_go, load
 from planner.system.results import markdown_cell, markdown_table
 

@@ -18,22 +18,13 @@ from assist.cli import main
 from assist.connect import pomdp, pomdpx
 from assist.connect.observed import Observed, bytes_needed
 from assist.live import TraceReasons
-from assist.people.choices import Choices
-from assist.people.human import HumanModel
-from assist.people.ranges import Population
-from assist.people.user_code import UserCodeError
-from assist.person import AssistPOMDP, ObservationModel, Robot, solve
+from assist.people import Choices, HumanModel, Population, UserCodeError
+from assist.person import QMDP, AssistPOMDP, ObservationModel, OfRobots, Robot, Setting, solve
 from assist.person import solver as person_solver
-from assist.person.qmdp import QMDP, qmdp
-from assist.person.robots import OfRobots
-from assist.person.settings import Setting
-from assist.studies import cells
-from assist.studies.protocol import read
-from assist.studies.reports import study_report
-from assist.studies.reports.study_report import write_report
-from assist.studies.runner import load_study, run_study
-from assist.team.policies import UserPolicy
-from assist.team.state import TeamAction, TeamState
+from assist.person.qmdp import qmdp
+from assist.studies import cells, load_study, read, run_study
+from assist.studies.reports import study_report, write_report
+from assist.team import TeamAction, TeamState, UserPolicy
 from planner import Table
 
 pytestmark = pytest.mark.cases

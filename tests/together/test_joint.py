@@ -12,25 +12,13 @@ from conftest import kit
 from joint import JointBounds, joint_bounds
 from silence import ThreeInARow
 
-from assist.certify.options import BoundOptions
-from assist.certify.team_bound import upper_bound
-from assist.people.belief import Grid
-from assist.people.choices import Choices
+from assist.certify import BoundOptions, upper_bound
+from assist.people import Choices, Grid, HumanModel, Population, TrustRule
 from assist.people.decision import Floats
-from assist.people.human import HumanModel
-from assist.people.ranges import Population
-from assist.people.trust_rules import TrustRule
-from assist.person.attention_subproblem import AttentionSubproblem
-from assist.person.behaviour import Behaviour
-from assist.person.mdp_values import evaluate
-from assist.person.pomdp import AssistPOMDP
+from assist.person import AssistPOMDP, AttentionSubproblem, Behaviour, OfRobots, Setting, evaluate, solve
 from assist.person.qmdp import qmdp
-from assist.person.robots import OfRobots
-from assist.person.settings import Setting
-from assist.person.solver import solve
-from assist.team.pool import Pool
+from assist.team import NOBODY, Pool
 from assist.team.simulate import simulate
-from assist.team.state import NOBODY
 
 pytestmark = pytest.mark.slow  # the solver of `joint` takes long to compile; `test_bounds` has other optima
 

@@ -24,10 +24,8 @@ from assist.connect.observed import Observed
 from assist.drawing import Artist, plan_frames, read_state, save
 from assist.drawing.raster import png
 from assist.live import Explanation, Session, contrast
-from assist.people import HumanModel, Population
-from assist.people.choices import Choices
-from assist.person import AssistPOMDP, Setting, qmdp
-from assist.person.robots import OfRobots
+from assist.people import Choices, HumanModel, Population
+from assist.person import AssistPOMDP, OfRobots, Setting, qmdp
 from planner import Instance, Table, load, sweep
 
 DOMAIN = """(define (domain mixing) (:requirements :typing :durative-actions :numeric-fluents) (:types tank)

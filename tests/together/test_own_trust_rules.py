@@ -21,8 +21,7 @@ from assist.people import Population, UserCodeError
 from assist.person import Setting
 from assist.studies import read
 from assist.team import Pool, simulate
-from planner import cost_to_go, sweep
-from planner.system.errors import InputFileError
+from planner import InputFileError, cost_to_go, sweep
 
 TINY = "kitting/tiny"
 

@@ -17,50 +17,39 @@ from recorded import log_of
 from teams import state
 from test_qmdp import make
 
-from assist.connect.gymnasium import TeamEnv, TeamVectorEnv
-from assist.connect.pettingzoo import parallel_env
-from assist.declare import InapplicableError
-from assist.declare.refusals import Refusal
-from assist.drawing.frames import episode_frames
-from assist.drawing.picture import Artist
-from assist.learning import comparison, logit_likelihood, population, replayed
+from assist.connect import TeamEnv, TeamVectorEnv, parallel_env
+from assist.declare import InapplicableError, Refusal
+from assist.drawing import Artist, episode_frames
+from assist.learning import Log, comparison, logit_likelihood, population, replayed
 from assist.learning.fit import fit
-from assist.learning.log import Log
 from assist.learning.maximum_likelihood import Method
-from assist.live.advice import Advice
-from assist.live.assistant import Assistant
+from assist.live import Advice, Assistant, Elapsed, Joined, Left, TeamRecord
 from assist.live.event_base import TeamEvent
-from assist.live.events import Elapsed, Joined, Left
-from assist.live.record import TeamRecord
 from assist.live.team import Team
-from assist.people import user_code
+from assist.people import (
+    Choices,
+    Human,
+    Misconception,
+    Population,
+    UserCodeError,
+    Weighted,
+    boltzmann,
+    perceived_cost,
+    user_code,
+)
 from assist.people.action_names import Matcher
-from assist.people.choice_model import boltzmann, value
-from assist.people.choices import Choices
-from assist.people.decision import perceived_cost
-from assist.people.human import Human
-from assist.people.misconception import Misconception
-from assist.people.ranges import Population
-from assist.people.user_code import UserCodeError
-from assist.people.weighted_choice import Weighted
-from assist.person.alpha_vectors import VectorPolicy
-from assist.person.pomdp import AssistPOMDP
+from assist.people.choice_model import value
+from assist.person import AssistPOMDP, Travel, VectorPolicy
 from assist.person.qmdp import qmdp
-from assist.person.travel import Travel
-from assist.studies.userstudy.forms import Item
-from assist.studies.userstudy.questionnaires import Questionnaire
+from assist.studies.userstudy import Item, Questionnaire
+from assist.team import Pool, Schedule, TeamAction
 from assist.team.action_check import check
-from assist.team.pool import Pool
-from assist.team.schedule import Schedule
 from assist.team.simulate import simulate
-from assist.team.state import TeamAction
-from assist.web import request_limits
-from assist.web.client import Client
+from assist.web import Client, request_limits
 from assist.web.tokens import AccessTokens
-from planner import PDDLError, Table, load
+from planner import InputFileError, PDDLError, Table, load
 from planner.engine import Engine
 from planner.grounding.translation import from_sas
-from planner.system.errors import InputFileError
 from planner.system.files import writable
 
 

@@ -17,21 +17,11 @@ from recorded import lines
 
 from assist import Pool, compare, fit, simulate
 from assist.certify import certify
-from assist.learning import (
-    FittedAdvice,
-    Log,
-    calibrate,
-    compare_models,
-    fit_influence,
-    infer_goals,
-    replayed,
-)
+from assist.learning import FittedAdvice, Log, calibrate, compare_models, fit_influence, infer_goals, replayed
 from assist.learning.replay import replay
 from assist.people import Choices, HumanModel
-from assist.person import AssistPOMDP, solve
-from assist.person.person_problem import PersonProblem
+from assist.person import AssistPOMDP, OfRobots, PersonProblem, solve
 from assist.person.qmdp import qmdp
-from assist.person.robots import OfRobots
 from assist.studies import Study
 from assist.studies.reports import Report
 from assist.team.episodes import Episodes

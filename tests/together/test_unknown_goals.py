@@ -21,17 +21,14 @@ from assist.certify import upper_bound
 from assist.declare.declared import plain
 from assist.learning import Log, infer_goals
 from assist.live import Assistant, Session
-from assist.people import Choices, Goals, HumanModel, Population
-from assist.people.choice_model import boltzmann
+from assist.people import Choices, Goals, HumanModel, Population, boltzmann
 from assist.people.hidden_type import HiddenType
-from assist.person import AssistPOMDP, Setting, qmdp
+from assist.person import AssistPOMDP, OfRobots, Setting, qmdp
 from assist.person.known_states import KnownStates
-from assist.person.robots import OfRobots
 from assist.team import Pool, Schedule, simulate
 from assist.team.belief_trace import Watched
 from assist.team.questions import GoalQuestion, Questions, benefit
-from planner import LimitError, Table, sweep, sweep_goals
-from planner.system.errors import InputFileError
+from planner import InputFileError, LimitError, Table, sweep, sweep_goals
 
 PRIOR = {"a": 0.5, "b": 0.2, "c": 0.3}
 LAPSE, ETA = 0.01, 0.2

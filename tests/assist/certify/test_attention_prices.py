@@ -14,11 +14,9 @@ from test_goal_bounds import ring
 
 from assist.certify.priced_steps import window_of
 from assist.certify.prices import SubproblemGroup, groups_of
-from assist.people.choices import Choices
-from assist.people.ranges import Population
-from assist.person.attention_subproblem import AttentionSubproblem
+from assist.people import Choices, Population
+from assist.person import AttentionSubproblem, Setting
 from assist.person.qmdp import qmdp
-from assist.person.settings import Setting
 from assist.person.truncated_bound import likely
 from assist.team.pool import Pool
 from assist.team.simulate import simulate

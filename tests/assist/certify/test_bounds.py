@@ -14,20 +14,14 @@ from conftest import KITTING, costly, invoke
 from hypothesis import given
 from hypothesis import strategies as st
 
-from assist.certify.options import BoundOptions
+from assist.certify import BoundOptions, TeamBound, upper_bound
 from assist.certify.relaxed_value import relaxed_value
-from assist.certify.team_bound import TeamBound, upper_bound
 from assist.people.choices import Choices
-from assist.person.attention_subproblem import AttentionSubproblem
-from assist.person.mdp_values import evaluate
+from assist.person import AttentionSubproblem, Setting, evaluate, solve
 from assist.person.qmdp import qmdp
-from assist.person.settings import Setting
-from assist.person.solver import solve
 from assist.person.time_expansion import AWAY, HERE
-from assist.team.policy_names import POLICIES
-from assist.team.pool import Pool
+from assist.team import NOBODY, POLICIES, Pool, TeamAction, TeamState
 from assist.team.simulate import simulate
-from assist.team.state import NOBODY, TeamAction, TeamState
 
 
 @pytest.fixture(scope="module")

@@ -15,26 +15,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_goal_bounds import ring
 
-from assist.certify import certificate, comparison, prices, team_bound
-from assist.certify.certificate import Certificate, horizon, returns
-from assist.certify.information_relaxation.options import RelaxationOptions
-from assist.certify.options import BoundOptions
+from assist.certify import (
+    BoundOptions,
+    Certificate,
+    RelaxationOptions,
+    TeamBound,
+    certificate,
+    comparison,
+    prices,
+    team_bound,
+)
+from assist.certify.certificate import horizon, returns
 from assist.certify.prices import SubproblemGroup, groups_of, search
 from assist.certify.relaxed_value import relaxed_value
-from assist.certify.team_bound import TeamBound
-from assist.people.choices import Choices
-from assist.people.human import HumanModel
-from assist.people.ranges import Population
-from assist.person.attention_subproblem import AttentionSubproblem
+from assist.people import Choices, HumanModel, Population
+from assist.person import AssistPOMDP, AttentionSubproblem, OfRobots, Robot, Setting, solve
 from assist.person.memory_needed import policy_bytes
-from assist.person.pomdp import AssistPOMDP
-from assist.person.robots import OfRobots, Robot
-from assist.person.settings import Setting
-from assist.person.solver import solve
 from assist.person.time_expansion import AWAY, HERE, TimeExpansion
-from assist.team.baselines import NoAssistance
-from assist.team.pool import Pool
-from assist.team.state import TeamAction, TeamState
+from assist.team import NoAssistance, Pool, TeamAction, TeamState
 from planner import LimitError, sweep
 
 SETTING = Setting(gamma=0.5, c_suggest=0.1, c_move=0.2)

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq, linprog
 from test_joint import COSTS, pool_of
 
+from assist.certify import RelaxationOptions, upper_bound
 from assist.certify.information_relaxation.belief_nodes import (
     END,
     LEFT,
@@ -28,14 +29,11 @@ from assist.certify.information_relaxation.belief_nodes import (
 )
 from assist.certify.information_relaxation.confidence import SampledBound
 from assist.certify.information_relaxation.congestion import Scale, lost
-from assist.certify.information_relaxation.options import RelaxationOptions
 from assist.certify.information_relaxation.path_search import SamplePath
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
 from assist.certify.prices import groups_of
-from assist.certify.team_bound import upper_bound
 from assist.cli.output.person_bounds import show_samples
-from assist.person.settings import Setting
-from assist.person.solver import solve
+from assist.person import Setting, solve
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
 

@@ -18,13 +18,9 @@ from graphs import graph_task
 
 from assist.certify import TeamBound, upper_bound
 from assist.certify.relaxed_value import relaxed_value
-from assist.people import Goals, HumanModel, Population
-from assist.people.trust_rules import outcome
-from assist.person import AssistPOMDP, Setting, Solution, SolverOptions, qmdp, solve
-from assist.person.behaviour import Behaviour
+from assist.people import Goals, HumanModel, Population, outcome
+from assist.person import AssistPOMDP, Behaviour, OfRobots, Setting, Solution, SolverOptions, evaluate, qmdp, solve
 from assist.person.each_goal import given_goals
-from assist.person.mdp_values import evaluate
-from assist.person.robots import OfRobots
 from assist.team import Pool, simulate
 from planner import sweep_goals
 

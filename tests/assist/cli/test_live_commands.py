@@ -11,17 +11,13 @@ import numpy as np
 import pytest
 from conftest import DOMAINS, KITTING, invoke
 
-from assist.live.events import Paused
+from assist.live import Paused, Session
 from assist.live.header import _chances
 from assist.live.live_setting import LiveSetting
-from assist.live.session import Session
 from assist.live.simulated_person import SimulatedPerson
-from assist.people.choices import Choices
-from assist.people.human import Human
+from assist.people import Choices, Human, Population, Weighted
 from assist.people.memory import choices_of
-from assist.people.ranges import Population
 from assist.people.user_code import UserChoiceModel, _loaded
-from assist.people.weighted_choice import Weighted
 from assist.web import server
 from planner import OnDemand, Table
 

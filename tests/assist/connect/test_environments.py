@@ -19,14 +19,10 @@ from pettingzoo.utils.conversions import parallel_to_aec
 from test_unknown_goals import three_goals
 
 from assist import Pool, simulate
+from assist.connect import parallel_env
 from assist.connect.gymnasium import ID, TeamEnv, TeamVectorEnv
-from assist.connect.pettingzoo import parallel_env
-from assist.people.choices import Choices
-from assist.people.ranges import Population
-from assist.people.trust_rules import outcome_at_disagreement
-from assist.person import shared_task
-from assist.person.robots import Robot
-from assist.person.settings import Setting
+from assist.people import Choices, Population, outcome_at_disagreement
+from assist.person import Robot, Setting, shared_task
 from assist.team.policy_names import POLICIES
 from planner import OnDemand, Table
 

@@ -20,18 +20,12 @@ from test_qmdp import GRID, make
 
 from assist.connect import read_policy, to_pomdp_py, write_pomdp, write_pomdpx
 from assist.connect.observed import Observed, action_names
-from assist.people.choices import Choices
-from assist.people.human import HumanModel
-from assist.people.memory import remembered
-from assist.person.assumptions import Assumptions
+from assist.people import Choices, HumanModel, remembered
+from assist.person import AssistPOMDP, Assumptions, OfRobots, TruncatedTask, evaluate
 from assist.person.closed_problem import closed_problem
-from assist.person.mdp_values import evaluate
-from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
-from assist.person.robots import OfRobots
-from assist.person.truncated_task import TruncatedTask
-from planner import Instance, Table, load, sweep
-from planner.system.errors import InputFileError, MissingExtraError
+from planner import InputFileError, Instance, Table, load, sweep
+from planner.system.errors import MissingExtraError
 
 # SARSOP's own output for `make(tiny_choices, h)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
 # tiny.pomdpx` (APPL 0.9) ended with the bounds below. That person's misconceptions were drawn state by state.

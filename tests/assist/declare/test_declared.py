@@ -35,8 +35,7 @@ from assist.declare.declared import (
     sentences,
 )
 from assist.declare.tables import convert, load, located, replaced
-from assist.person.robots import OfRobots, Robot
-from assist.person.settings import Setting
+from assist.person import OfRobots, Robot, Setting
 from planner.system.errors import InputFileError
 
 

@@ -19,8 +19,7 @@ from userstudies import PLAN, written
 from assist.declare import InapplicableError, Refusal, catalogue, languages
 from assist.studies.userstudy.plan_file import read
 from assist.web.tokens import VISITOR
-from planner import Table
-from planner.system.errors import InputFileError
+from planner import InputFileError, Table
 
 WEB = ROOT / "assist" / "web"
 PAGES = [WEB / "pages" / f"{name}.html" for name in ("worker", "nowhere")]

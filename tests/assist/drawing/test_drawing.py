@@ -17,22 +17,12 @@ from PIL import Image
 
 from assist.cli import main
 from assist.declare import catalogue
-from assist.drawing import (
-    Artist,
-    Profile,
-    draw,
-    draw_frames,
-    draw_strip,
-    episode_frames,
-    plan_frames,
-    read_state,
-)
+from assist.drawing import Artist, Profile, draw, draw_frames, draw_strip, episode_frames, plan_frames, read_state
 from assist.drawing.files import page
 from assist.drawing.frames import episode_of
 from assist.drawing.subject import Subject
-from planner import load
+from planner import InputFileError, load
 from planner.grounding.fast_downward import optimal_plan
-from planner.system.errors import InputFileError
 
 SVG = "{http://www.w3.org/2000/svg}"
 INSTANCES = [

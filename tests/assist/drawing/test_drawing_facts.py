@@ -16,26 +16,18 @@ import pytest
 from conftest import DOMAINS, thinned
 from PIL import Image
 
-from assist.drawing import (
-    Artist,
-    draw_frames,
-    draw_strip,
-    episode_frames,
-    plan_frames,
-    read_state,
-)
+from assist.drawing import Artist, draw_frames, draw_strip, episode_frames, plan_frames, read_state
 from assist.drawing.layout import Box, Layout
 from assist.drawing.profile import guess
 from assist.drawing.raster import png
 from assist.drawing.scene import TASK
 from assist.drawing.subject import Atom, Subject, words_for
 from assist.drawing.svg import document, draw_layout
-from planner import cost_to_go, load
+from planner import InputFileError, cost_to_go, load
 from planner.grounding.fast_downward import optimal_plan
 from planner.grounding.translation import in_the_files_terms
 from planner.pddl.compilation import Compilation
 from planner.pddl.reader import read
-from planner.system.errors import InputFileError
 
 SVG = "{http://www.w3.org/2000/svg}"
 WIDTH = 760

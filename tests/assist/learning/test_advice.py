@@ -20,13 +20,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import predictions, simulated
 
-from assist.learning import held_out
-from assist.learning.advice_fit import _Likelihood, _local_maximum, fit_advice, fit_model
-from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
+from assist.learning import AdviceLog, Method, compare_rules, fit_advice, held_out, read_advice
+from assist.learning.advice_fit import _Likelihood, _local_maximum, fit_model
+from assist.learning.advice_log import COLUMNS
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
 from assist.learning.advice_rules import DEFAULT_STEPS, RULES, Rule
-from assist.learning.held_out import COMPARED, compare_rules, fold_of
-from assist.learning.likelihood import Method
+from assist.learning.held_out import COMPARED, fold_of
 from assist.people.trust_rules import LEAST, Event, LogitSteps
 from planner.system.errors import InputFileError
 

@@ -11,15 +11,13 @@ from conftest import invoke, kit
 from recorded import lines, observed, people_at_work, write_log
 from test_goal_fit import METHOD, fitted
 
+from assist.learning import Method, Observations, log_likelihood
 from assist.learning.first_estimates import first_estimates
 from assist.learning.fit import with_model
-from assist.learning.likelihood import Data, Method
+from assist.learning.likelihood import Data
 from assist.learning.likelihood_arrays import log_likelihoods
-from assist.learning.likelihood_table import log_likelihood
 from assist.learning.maximum_likelihood import maximum_likelihood
-from assist.learning.observations import Observations
-from assist.people.choice_model import boltzmann
-from assist.people.choices import Choices
+from assist.people import Choices, boltzmann
 
 PAPER = kit("paper")
 ROWS = people_at_work(Choices.of(PAPER), [0.4, 1.2, 2.5], np.random.default_rng(7), suggest=0.4)

@@ -11,11 +11,8 @@ from conftest import invoke, kit
 from recorded import people_at_work, write_log
 
 from assist import fit
-from assist.learning.fit import FittedPeople
-from assist.learning.log import Log
-from assist.people.choice_model import boltzmann
-from assist.people.choices import Choices
-from assist.people.decision import perceived_value
+from assist.learning import FittedPeople, Log
+from assist.people import Choices, boltzmann, perceived_value
 from planner import OnDemand
 
 PAPER = kit("paper")

@@ -14,8 +14,7 @@ from simulated_people import People, record
 from test_unknown_goals import PRIOR, three_goals
 
 from assist.learning import FittedPeople, Log, Method, fit, fit_influence, infer_goals, log_likelihood, mixture
-from assist.people import Goals
-from assist.people.decision import choice, influence, lapse
+from assist.people import Goals, choice, influence, lapse
 from planner import Table
 
 BETA = np.array([0.4, 0.8, 1.2, 1.6, 2.0, 2.4])

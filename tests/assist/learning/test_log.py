@@ -16,16 +16,14 @@ from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of, write_log
 
 from assist.cli import main
-from assist.learning.likelihood import Method
-from assist.learning.log import Log, read_log, told
+from assist.learning import EvaluatedStates, Log, Method, observe, read_log
+from assist.learning.log import told
 from assist.learning.maximum_likelihood import maximum_likelihood
-from assist.learning.observations import EvaluatedStates, observe
 from assist.learning.replay import replay
-from assist.people.choices import Choices
-from assist.people.ranges import Population
-from assist.team.pool import Pool, Setting
+from assist.people import Choices, Population
+from assist.team import Pool, TeamAction, TeamState
+from assist.team.pool import Setting
 from assist.team.simulate import simulate
-from assist.team.state import TeamAction, TeamState
 from assist.team.trace import Trace
 from planner import Table
 

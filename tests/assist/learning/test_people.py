@@ -12,12 +12,10 @@ from conftest import KITTING, kit
 from recorded import FETCH, WRONG, lines, people_at_work, write_log
 
 from assist.cli import main
-from assist.learning.fit import FittedPeople, fit
-from assist.learning.likelihood import Method
-from assist.learning.log import Log, read_log
+from assist.learning import FittedPeople, Log, Method, read_log
+from assist.learning.fit import fit
 from assist.people.choices import Choices
-from planner import OnDemand, Table
-from planner.system.errors import InputFileError
+from planner import InputFileError, OnDemand, Table
 
 TINY = KITTING / "tiny.pddl"
 PLAN = kit("tiny").optimal_plan() or []

@@ -15,11 +15,10 @@ from recordings import board_of, make_up, moves_of, problem_text, read_all
 from scipy.optimize import minimize, minimize_scalar
 from simulated_people import People, observed, record, record_with_terms
 
-from assist.learning import Log, Method, compare_models, fit, hierarchy, mixture
+from assist.learning import Log, Method, Observations, compare_models, fit, hierarchy, mixture
 from assist.learning.comparison import folds_of
 from assist.learning.hierarchy import fit_hierarchy, intervals, pooled, with_rate
 from assist.learning.logit_likelihood import BETA, THETA, Likelihood, maximise
-from assist.learning.observations import Observations
 from assist.people import NOTHING, TERMS, Choices, Weighted, choice, influence, lapse, remembered
 from planner import Instance, Table, sweep
 from planner import load as load_task

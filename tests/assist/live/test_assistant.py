@@ -14,19 +14,10 @@ from silence import ThreeInARow
 
 from assist.declare import AbsentError, InapplicableError
 from assist.live.assistant import Assistant
-from assist.people.choice_model import boltzmann
-from assist.people.choices import Choices
-from assist.people.human import HumanModel
-from assist.people.memory import remembered
-from assist.people.ranges import Population
-from assist.people.terms import TERMS
-from assist.people.weighted_choice import Weighted
-from assist.person import person_problem, shared_task
-from assist.person.assumptions import Assumptions
-from assist.person.pomdp import AssistPOMDP, Behaviour
+from assist.people import TERMS, Choices, HumanModel, Population, Weighted, boltzmann, remembered
+from assist.person import AssistPOMDP, Assumptions, Robot, Setting, person_problem, shared_task
+from assist.person.pomdp import Behaviour
 from assist.person.qmdp import qmdp
-from assist.person.robots import Robot
-from assist.person.settings import Setting
 from assist.team.belief_trace import Watched
 from assist.team.pool import Pool
 from assist.team.simulate import simulate

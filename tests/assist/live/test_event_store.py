@@ -23,16 +23,13 @@ from sessions import EASY, HAPPENS, SETTING, happen
 from store_faults import Failing, schedule
 
 from assist.declare import AbsentError
-from assist.live.events import Acted, Joined
+from assist.live import Acted, Joined, JournalError, Session, TeamRecord
 from assist.live.live_task import LiveTask
-from assist.live.record import TeamRecord
-from assist.live.session import Session
-from assist.live.store import EventStore, JournalError, stored
+from assist.live.store import EventStore, stored
 from assist.live.team import Team
 from assist.person.settings import Setting
 from assist.team.priority import Priority
-from planner import Table, sweep
-from planner.system.errors import InputFileError
+from planner import InputFileError, Table, sweep
 
 
 def content(folder: Path) -> bytes:

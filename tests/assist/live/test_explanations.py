@@ -17,6 +17,7 @@ from assist.declare import AbsentError, Catalogue, InapplicableError, Refusal, c
 from assist.live import (
     Advice,
     Assistant,
+    Consequence,
     Contrast,
     Elapsed,
     Explanation,
@@ -31,13 +32,11 @@ from assist.live import (
     contrast,
 )
 from assist.live.causes import CAUSES
-from assist.live.contrast import Consequence
 from assist.live.live_task import LiveTask
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
-from assist.person.observation_model import ObservationModel
-from assist.person.qmdp import QMDP, look_ahead
-from assist.person.settings import Setting
+from assist.person import QMDP, ObservationModel, Setting
+from assist.person.qmdp import look_ahead
 from assist.team import Pool, simulate
 from assist.team.trace import Trace
 from planner import CostToGo, Instance, OnDemand, Table, optimal_choices

@@ -12,17 +12,12 @@ import pytest
 from conftest import thinned
 
 from assist.declare import Refusal
-from assist.live.assistant import Assistant
-from assist.live.explanation import Remark
-from assist.live.session import Session
+from assist.live import Assistant, Remark, Session, TraceReasons
 from assist.live.simulated_person import SimulatedPerson
-from assist.live.trace_reasons import TraceReasons
-from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome
-from assist.people.ranges import Population
+from assist.people import Neighbours, Population, SeenFollowed, SeenOutcome
 from assist.person.settings import Setting
-from assist.team.pool import Pool
+from assist.team import Pool, TeamAction, TeamState
 from assist.team.simulate import simulate
-from assist.team.state import TeamAction, TeamState
 from assist.team.trace import Trace
 from planner import Table
 

@@ -14,16 +14,13 @@ from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, all_of
 from starlette.testclient import TestClient
 
-from assist.declare import InapplicableError, Refusal
-from assist.declare.declared import plain
-from assist.live.assistant import Assistant
+from assist.declare import InapplicableError, Refusal, plain
+from assist.live import Acted, Arrived, Assistant, Elapsed, Joined, Paused, Session
 from assist.live.event_base import TeamEvent
-from assist.live.events import Acted, Arrived, Elapsed, Joined, Paused, kinds
+from assist.live.events import kinds
 from assist.live.live_setting import LiveSetting
-from assist.live.session import Session
 from assist.people.ranges import Population
-from assist.person.robots import Robot
-from assist.person.settings import Setting
+from assist.person import Robot, Setting
 from assist.web.app import make_app
 from assist.web.service import Service
 from assist.web.tokens import AccessTokens

@@ -15,11 +15,9 @@ from serving import TINY
 from assist.cli import main
 from assist.declare import AbsentError
 from assist.live import Assistant, Joined, PeopleStore, Session
-from assist.people.goals import Goals
-from assist.people.ranges import Population
+from assist.people import Goals, Population
 from assist.person.settings import Setting
-from planner import Table, sweep_goals
-from planner.system.errors import InputFileError
+from planner import InputFileError, Table, sweep_goals
 
 SETTING = Setting(c_suggest=0.05)
 WALK = ["(fetch box-b)", "(fetch box-a)", "(place hammer slot-1 box-a)"]

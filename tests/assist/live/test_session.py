@@ -20,18 +20,16 @@ from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, happen
 
 from assist.declare import InapplicableError
-from assist.live.assistant import Assistant
+from assist.live import Acted, Assistant, Began, Event, Joined, JournalError, Paused, Session
 from assist.live.desk import Desk
-from assist.live.event_base import Event, OfPerson, TeamEvent
-from assist.live.events import Acted, Began, Joined, Paused, kinds
+from assist.live.event_base import OfPerson, TeamEvent
+from assist.live.events import kinds
 from assist.live.lines import Line
 from assist.live.live_setting import LiveSetting
-from assist.live.session import Session
-from assist.live.store import JournalError, stored
+from assist.live.store import stored
 from assist.live.team import Team
 from assist.person.settings import Setting
-from planner import Table
-from planner.system.errors import InputFileError
+from planner import InputFileError, Table
 
 
 @pytest.fixture

@@ -7,12 +7,8 @@ import pytest
 from silence import ThreeInARow
 
 from assist.live.simulated_person import SimulatedPerson
-from assist.people import Population
-from assist.people.choice_model import ChoiceModel, boltzmann
-from assist.people.choices import Choices
-from assist.people.trust_rules import TrustRule
-from assist.person import Setting
-from assist.person.observation_model import ObservationModel
+from assist.people import ChoiceModel, Choices, Population, TrustRule, boltzmann
+from assist.person import ObservationModel, Setting
 from assist.team import Pool, simulate
 from assist.team.common_random_numbers import CommonRandomNumbers
 from assist.team.trace import Trace

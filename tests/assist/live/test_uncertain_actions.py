@@ -17,10 +17,8 @@ from assist.learning.log import Log
 from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
-from assist.person import QMDP, ObservationModel, Setting, person_problem, qmdp
-from assist.person.assumptions import Assumptions
+from assist.person import QMDP, Assumptions, ObservationModel, Setting, TruncatedPolicy, person_problem, qmdp
 from assist.person.shared_task import SharedTask
-from assist.person.truncated_policy import TruncatedPolicy
 from assist.team.questions import worth_of_knowing
 from planner import Table
 

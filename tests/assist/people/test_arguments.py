@@ -12,15 +12,10 @@ import numpy as np
 import pytest
 
 from assist.certify.team_bound import upper_bound
+from assist.people import Grid, Human, Population
 from assist.people.arguments import number
-from assist.people.belief import Grid
-from assist.people.human import Human
-from assist.people.ranges import Population
-from assist.person.person_problem import PersonProblem
-from assist.person.settings import Setting
-from assist.person.travel import Travel
-from assist.team.pool import Pool
-from assist.team.schedule import Schedule
+from assist.person import PersonProblem, Setting, Travel
+from assist.team import Pool, Schedule
 from assist.team.simulate import simulate
 from planner import LimitError, Table
 

@@ -9,10 +9,8 @@ import pytest
 from plain import explore
 from scipy import stats
 
-from assist.people.choices import Choices
-from assist.people.misconception import Misconception, standard_normal
-from assist.people.ranges import Population
-from assist.people.state_keys import keys_of
+from assist.people import Choices, Misconception, Population, keys_of
+from assist.people.misconception import standard_normal
 from planner import OnDemand, Table
 
 MANY = np.arange(40_000, dtype=np.uint64)

@@ -16,13 +16,9 @@ from conftest import ROOT, thinned
 
 import assist
 from assist.cli import main
-from assist.people import user_code
-from assist.people.terms import TERMS
-from assist.people.trust_rules import EquationSeven, LogitSteps, Reliability
-from assist.people.user_code import UserCodeError
+from assist.people import TERMS, EquationSeven, LogitSteps, Reliability, UserCodeError, user_code
 from assist.studies import own_code_trials
-from assist.team import assigned
-from assist.team.policies import UserPolicy
+from assist.team import UserPolicy, assigned
 
 EXAMPLES = ROOT / "docs" / "examples"
 

@@ -23,12 +23,8 @@ from assist.declare.declared import Number, declared, plain, sentences
 from assist.learning.method import Method
 from assist.learning.rule_families import families
 from assist.live.assistant import Assistant
-from assist.people.belief import Grid
-from assist.people.choices import Choices
-from assist.people.decision import NOTHING, Floats
-from assist.people.human import HumanModel
-from assist.people.ranges import Population
-from assist.people.real_people import advice_takers
+from assist.people import NOTHING, Choices, Grid, HumanModel, Population, advice_takers
+from assist.people.decision import Floats
 from assist.people.trust_rules import (
     LEAST,
     RULES,
@@ -45,12 +41,10 @@ from assist.people.trust_rules import (
     outcome_at_disagreement,
     plain_rule,
 )
+from assist.person import AssistPOMDP, OfRobots, Setting, solve
 from assist.person.belief_filter import update
-from assist.person.pomdp import AssistPOMDP, Behaviour
+from assist.person.pomdp import Behaviour
 from assist.person.problem_arrays import ProblemArrays
-from assist.person.robots import OfRobots
-from assist.person.settings import Setting
-from assist.person.solver import solve
 from assist.studies.protocol import read
 from assist.team.pool import Pool
 from assist.team.simulate import simulate

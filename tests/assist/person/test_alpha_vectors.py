@@ -9,16 +9,11 @@ import pytest
 from conftest import DOMAINS, table_of
 from test_qmdp import GRID, make
 
-from assist.people.belief import Grid
-from assist.people.choices import Choices
-from assist.people.human import HumanModel
-from assist.person.alpha_vectors import VectorPolicy
+from assist.people import Choices, Grid, HumanModel
+from assist.person import AssistPOMDP, OfRobots, VectorPolicy, evaluate
 from assist.person.belief_filter import Parts, child
-from assist.person.mdp_values import evaluate
-from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
-from assist.person.robots import OfRobots
 from planner import Instance
 
 

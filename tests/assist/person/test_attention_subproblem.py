@@ -12,17 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_goal_bounds import ring
 
-from assist.people.belief import Grid
-from assist.people.choices import Choices
-from assist.people.decision import NOTHING
-from assist.people.human import HumanModel
-from assist.people.trust_rules import outcome
-from assist.person import attention_subproblem
-from assist.person.attention_subproblem import AttentionSubproblem, backwards
-from assist.person.leaf_bounds import LeafBounds
-from assist.person.pomdp import AssistPOMDP, Behaviour
-from assist.person.qmdp import QMDP, qmdp
-from assist.person.robots import OfRobots
+from assist.people import NOTHING, Choices, Grid, HumanModel, outcome
+from assist.person import QMDP, AssistPOMDP, AttentionSubproblem, LeafBounds, OfRobots, attention_subproblem
+from assist.person.attention_subproblem import backwards
+from assist.person.pomdp import Behaviour
+from assist.person.qmdp import qmdp
 from assist.person.time_expansion import AWAY, HERE
 from planner import LimitError, sweep
 

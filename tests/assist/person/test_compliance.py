@@ -9,15 +9,10 @@ import pytest
 from conftest import kit
 
 from assist.declare.declared import declared
-from assist.people.belief import Grid
-from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel
-from assist.people.ranges import Population
-from assist.person import AssistPOMDP, qmdp
-from assist.person.assumptions import Assumptions
+from assist.people import Choices, Grid, Human, HumanModel, Population
+from assist.person import AssistPOMDP, Assumptions, OfRobots, qmdp
 from assist.person.compliance_relaxation import breadth_first, compliance_bounds
 from assist.person.frontier_bounds import never_erring
-from assist.person.robots import OfRobots
 
 GAMMA, LAPSE = 0.95, 0.02
 ROBOT = OfRobots(c_suggest=0.3)

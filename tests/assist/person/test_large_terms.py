@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from conftest import kit, thinned
 
-from assist.certify import upper_bound
-from assist.certify.options import BoundOptions
+from assist.certify import BoundOptions, upper_bound
 from assist.live import Assistant
 from assist.people import Population
 from assist.person import PersonProblem, Setting, person_problem, solve

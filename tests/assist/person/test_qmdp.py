@@ -12,17 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from assist.people.belief import Grid
-from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel
-from assist.people.misconception import perceived_cost_to_go
-from assist.people.ranges import Population
-from assist.people.trust_rules import constant
-from assist.person.alpha_vectors import VectorPolicy
-from assist.person.pomdp import AssistPOMDP, Behaviour
+from assist.people import Choices, Grid, Human, HumanModel, Population, constant, perceived_cost_to_go
+from assist.person import QMDP, AssistPOMDP, OfRobots, VectorPolicy
+from assist.person.pomdp import Behaviour
 from assist.person.problem_arrays import ProblemArrays
-from assist.person.qmdp import QMDP, qmdp
-from assist.person.robots import OfRobots
+from assist.person.qmdp import qmdp
 from assist.person.solution_cache import SolutionCache
 from planner import Table, sweep
 

@@ -13,24 +13,25 @@ from conftest import KITTING, costly, graph_task, invoke, kit, table_of, thinned
 from hypothesis import given
 from hypothesis import strategies as st
 
-from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel
-from assist.people.misconception import Misconception
-from assist.people.ranges import Population
-from assist.people.trust_rules import Reliability
-from assist.person import truncated_task as region
-from assist.person.assumptions import Assumptions
+from assist.people import Choices, Human, HumanModel, Misconception, Population, Reliability
+from assist.person import (
+    AssistPOMDP,
+    Assumptions,
+    OfRobots,
+    PersonProblem,
+    Setting,
+    Solution,
+    TruncatedTask,
+    solve,
+)
+from assist.person import (
+    truncated_task as region,
+)
 from assist.person.closed_problem import closed_problem
 from assist.person.likely_states import perceived_of_states
-from assist.person.person_problem import PersonProblem
-from assist.person.pomdp import AssistPOMDP, Behaviour
+from assist.person.pomdp import Behaviour
 from assist.person.qmdp import qmdp
-from assist.person.robots import OfRobots
-from assist.person.settings import Setting
-from assist.person.solver import Solution, solve
-from assist.person.truncated_task import TruncatedTask
-from planner import Instance, OnDemand, Table, load, sweep
-from planner.system.errors import InputFileError
+from planner import InputFileError, Instance, OnDemand, Table, load, sweep
 
 SETTING = {"gamma": 0.97, "robot": OfRobots(c_suggest=0.3)}
 INSTANCES = {name: Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl") for name in ("paper-fixed", "sealed")}

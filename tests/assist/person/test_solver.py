@@ -14,17 +14,10 @@ from solved import NAMES, by_hand, few, problem, seeds, solution_of, some_belief
 from test_policy_iteration import PlainBackup
 from test_qmdp import GRID, make
 
-from assist.people.belief import Grid
-from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel
-from assist.people.misconception import perceived_cost_to_go
-from assist.people.ranges import Population
-from assist.person.mdp_values import evaluate
-from assist.person.pomdp import AssistPOMDP
+from assist.people import Choices, Grid, Human, HumanModel, Population, perceived_cost_to_go
+from assist.person import AssistPOMDP, OfRobots, SolverOptions, evaluate, solve
 from assist.person.qmdp import qmdp
-from assist.person.robots import OfRobots
-from assist.person.search import SolverOptions, relative_gap
-from assist.person.solver import solve
+from assist.person.search import relative_gap
 from planner import LimitError, Table
 
 

@@ -10,9 +10,8 @@ from hypothesis import given
 from scipy.optimize import linprog
 from solved import NAMES, few, seeds, solution_of, some_beliefs
 
-from assist.person import belief_hulls, convex_bound
+from assist.person import Solution, belief_hulls, convex_bound
 from assist.person.problem_arrays import read_only
-from assist.person.solver import Solution
 from assist.person.upper_hull import new_program
 
 

@@ -12,8 +12,7 @@ import pytest
 from conftest import KITTING, invoke, write_instance
 from studies import write
 
-from assist.studies.runner import run_study
-from assist.studies.study import Study
+from assist.studies import Study, run_study
 from planner.system.errors import InputFileError
 
 

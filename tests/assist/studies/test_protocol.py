@@ -12,8 +12,7 @@ from studies import TINY, write
 
 from assist.people.ranges import Population
 from assist.person.settings import Setting
-from assist.studies.cells import check, pool_of
-from assist.studies.protocol import read
+from assist.studies import check, pool_of, read
 from planner.system.errors import InputFileError
 
 

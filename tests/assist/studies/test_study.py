@@ -16,11 +16,8 @@ from fuzz import here
 from studies import TINY, contents, write
 
 from assist.people.user_code import UserCodeError
-from assist.studies.cells import carry_out
-from assist.studies.protocol import read
+from assist.studies import Study, carry_out, load_study, profile, read, run_study
 from assist.studies.reports.study_report import write_report
-from assist.studies.runner import load_study, profile, run_study
-from assist.studies.study import Study
 from planner.system.errors import InputFileError
 
 

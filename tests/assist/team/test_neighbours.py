@@ -10,20 +10,16 @@ import pytest
 
 from assist.connect.teams import Teams
 from assist.declare.declared import DeclarationError
-from assist.people.goals import Goals
+from assist.people import Goals
 from assist.people.neighbourhood import NOBODY_SEES, Helped, Neighbourhood
 from assist.people.neighbours import SEEN_RULES, Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
-from assist.person.observation_model import ObservationModel
-from assist.person.policy import Policy
-from assist.person.settings import Setting
+from assist.person import ObservationModel, Policy, Setting
+from assist.team import Pool, TeamAction, TeamState
 from assist.team.common_random_numbers import CommonRandomNumbers
 from assist.team.outlook import outlook
-from assist.team.pool import Pool
 from assist.team.simulate import simulate
-from assist.team.state import TeamAction, TeamState
 from assist.team.trace import Trace
-from planner import OnDemand, sweep_goals
-from planner.costtogo.table import Table
+from planner import OnDemand, Table, sweep_goals
 
 
 @dataclass

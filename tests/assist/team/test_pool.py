@@ -13,15 +13,9 @@ import pytest
 from conftest import thinned
 from teams import reachable, run
 
-from assist.people.choices import Choices
-from assist.people.decision import perceived_cost
-from assist.people.human import Human
-from assist.people.ranges import Population
-from assist.person.observation_model import ObservationModel
-from assist.person.policy import Policy
-from assist.person.pomdp import AssistPOMDP
+from assist.people import Choices, Human, Population, perceived_cost
+from assist.person import AssistPOMDP, ObservationModel, Policy, Setting
 from assist.person.qmdp import qmdp
-from assist.person.settings import Setting
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
 from assist.team.trace import Trace

@@ -20,37 +20,25 @@ from pydantic import Field
 from scipy.sparse import csr_array
 from teams import state
 
-from assist.certify import coupled
+from assist.certify import BoundOptions, coupled, upper_bound
 from assist.certify.action_prices import paid, supply
-from assist.certify.options import BoundOptions
 from assist.certify.prices import groups_of
 from assist.certify.relaxed_value import relaxed_value
-from assist.certify.team_bound import upper_bound
 from assist.cli.options.config import read_config
 from assist.cli.serve import serve
 from assist.declare.declared import Number, Text, Whole, declared, plain
-from assist.people.choices import Choices
-from assist.people.decision import NOTHING
-from assist.people.ranges import Population
-from assist.people.user_code import UserCodeError
-from assist.person.attention_subproblem import AttentionSubproblem
+from assist.people import NOTHING, Choices, Population, UserCodeError
+from assist.person import AttentionSubproblem, OfRobots, Robot, Setting, Travel
 from assist.person.fleet import Fleet
 from assist.person.known_states import KnownStates
 from assist.person.qmdp import qmdp
-from assist.person.robots import Best, OfRobots, Robot
-from assist.person.settings import Setting
-from assist.person.travel import Travel
+from assist.person.robots import Best
 from assist.studies.protocol import read
+from assist.team import BASE, NOBODY, POLICIES, Episodes, Pool, TeamAction, TeamState, assigned
 from assist.team.action_check import check
-from assist.team.assignment import assigned
-from assist.team.episodes import Episodes
-from assist.team.policy_names import POLICIES
-from assist.team.pool import Pool
 from assist.team.simulate import simulate
-from assist.team.state import BASE, NOBODY, TeamAction, TeamState
 from assist.team.trace import Trace
-from planner import sweep
-from planner.system.errors import InputFileError
+from planner import InputFileError, sweep
 
 TASK = graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 4), (1, 2, 1)], start=3)
 """A chain from 3 to the goal 0, on which a step back from 2 costs 4."""

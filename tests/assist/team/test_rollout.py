@@ -11,15 +11,11 @@ import pytest
 from conftest import kit
 from teams import state
 
-from assist.people.choices import Choices
-from assist.people.goals import Goals
-from assist.people.neighbours import Neighbours, SeenFollowed
-from assist.person.observation_model import ObservationModel
-from assist.person.settings import Setting
-from assist.team.pool import Pool
-from assist.team.rollout import Rollout, RolloutOptions, _Paths
+from assist.people import Choices, Goals, Neighbours, SeenFollowed
+from assist.person import ObservationModel, Setting
+from assist.team import Pool, Rollout, RolloutOptions, TeamAction, TeamState
+from assist.team.rollout import _Paths
 from assist.team.simulate import simulate
-from assist.team.state import TeamAction, TeamState
 from planner import Table, sweep_goals
 
 TEAM = [0, 1, 2]

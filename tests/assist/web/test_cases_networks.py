@@ -17,9 +17,8 @@ import pytest
 from networks import NGINX, Wire, free_port, proxy, running
 from test_live_pages import violations
 
-from assist.live.events import Joined
+from assist.live import Joined, Session
 from assist.live.live_setting import LiveSetting
-from assist.live.session import Session
 from assist.web.app import make_app
 from assist.web.client import Client
 from assist.web.server import listen

@@ -11,11 +11,8 @@ import pytest
 from prometheus_client import generate_latest
 
 from assist.declare import AbsentError, Refusal
-from assist.live.event_base import Event
-from assist.live.events import Acted, Joined, Left
+from assist.live import Acted, Event, Joined, JournalError, Left, Session
 from assist.live.live_setting import LiveSetting
-from assist.live.session import Session
-from assist.live.store import JournalError
 from assist.web import service as services
 from assist.web.service import Erasure, Service
 from assist.web.tokens import AccessTokens

@@ -21,11 +21,9 @@ from streams import opened
 from userstudies import PLAN, written
 
 from assist.declare.refusals import Refusal
-from assist.live.events import Joined
+from assist.live import Joined, Session
 from assist.live.live_setting import LiveSetting
-from assist.live.session import Session
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.session import StudySession
+from assist.studies.userstudy import StudySession, read
 from assist.web.app import make_app
 from assist.web.client import Client
 from assist.web.server import server_of

@@ -25,8 +25,7 @@ from test_live_pages import violations
 from userstudies import PLAN, SCORES, written
 
 from assist.declare import catalogue, languages
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.session import StudySession
+from assist.studies.userstudy import StudySession, read
 from assist.web.app import make_app
 from assist.web.request_limits import Allowance
 from assist.web.tokens import VISITOR, AccessTokens

@@ -18,8 +18,7 @@ from conftest import ROOT
 from networks import NGINX, free_port, proxy, running
 from userstudies import PLAN, written
 
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.session import StudySession
+from assist.studies.userstudy import StudySession, read
 from assist.studies.userstudy.tables import tables
 from assist.web.app import make_app
 from assist.web.request_limits import Allowance, networks

@@ -18,16 +18,15 @@ from conftest import KITTING
 
 import planner.costtogo.portfolio
 from assist.cli.output.solve_records import Answers
-from planner import Limits, Table, instance, load, verify
+from planner import LimitError, Limits, Table, instance, load, sweep, verify
 from planner.batch import solve_batch as batch
 from planner.batch.results_folder import COMPARING, SWEEPING, Results, SolveOptions, SolveRecord, saved_files
 from planner.batch.solve_batch import solve_batch
 from planner.batch.solve_instance import solve_instance
 from planner.costtogo.astar import Early
-from planner.costtogo.table import sweep
 from planner.grounding import fast_downward
 from planner.grounding.semantics import plan_cost
-from planner.system.limits import Budget, LimitError, MemoryLimitError
+from planner.system.limits import Budget, MemoryLimitError
 
 TINY = KITTING / "tiny.pddl"
 Told = list[tuple[SolveRecord, bool]]

@@ -14,21 +14,10 @@ import pytest
 from conftest import KITTING
 from plain import distances, explore, task_of
 
-from planner import (
-    Effect,
-    LimitError,
-    OnDemand,
-    Operator,
-    Table,
-    Task,
-    load,
-    open_table,
-    save_table,
-)
+from planner import Effect, InputFileError, LimitError, OnDemand, Operator, Table, Task, load, open_table, save_table
 from planner.search.ranked_index import RankedIndex
 from planner.search.state_registry import RegistryIndex
 from planner.search.state_space import compact
-from planner.system.errors import InputFileError
 
 module = importlib.import_module("planner.costtogo.table")
 successor_generator = importlib.import_module("planner.search.successor_generator")

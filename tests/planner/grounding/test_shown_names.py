@@ -10,14 +10,12 @@ import pytest
 
 from assist import Assistant
 from assist.people.choices import Choices
-from planner import OnDemand, astar, sweep, verify
+from planner import Instance, OnDemand, Task, astar, sweep, verify
 from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
 from planner.grounding.semantics import replay
-from planner.grounding.task import Task
 from planner.grounding.translation import from_sas, in_the_files_terms
 from planner.pddl.compilation import Compilation
-from planner.pddl.instances import Instance
 from planner.pddl.reader import read
 
 DOMAIN = """(define (domain bins) (:requirements :typing :action-costs) (:types bin number-value)

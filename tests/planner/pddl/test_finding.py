@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from conftest import KITTING, invoke
 
-from planner import PDDLError, find_instances, instance, load
-from planner.system.errors import InputFileError
+from planner import InputFileError, PDDLError, find_instances, instance, load
 
 DOMAIN, PROBLEM = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
 

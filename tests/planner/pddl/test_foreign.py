@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from conftest import write_instance
 
-from planner import load, sweep, verify
+from planner import MismatchError, load, sweep, verify
 from planner.batch.solve_instance import solve_instance
 from planner.grounding.semantics import replay
-from planner.system.errors import MismatchError
 
 # Wires between places are closed and opened; a lamp is lit if a closed path connects it to the source.
 POWER = """(define (domain power) (:requirements :strips :typing :derived-predicates)

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 from conftest import KITTING, invoke, kitassist, understood, write_instance
 
-from planner import Instance, PDDLError, load
+from planner import Instance, MismatchError, PDDLError, load
 from planner.pddl.validation import validate
-from planner.system.errors import MismatchError
 
 DOMAIN = (KITTING / "domain.pddl").read_text()
 PROBLEM = (KITTING / "tiny.pddl").read_text()

@@ -12,9 +12,8 @@ import pytest
 from direct_search import Direct, UnsupportedError
 from random_numeric import draw
 
-from planner.pddl.instances import Instance
+from planner import Instance, MismatchError
 from planner.pddl.plan_execution import execute
-from planner.system.errors import MismatchError
 
 DOMAIN = """(define (domain cell) (:requirements :durative-actions :numeric-fluents) (:types bin tray)
 (:predicates (lit) (ready ?t - tray)) (:functions (stock ?b - bin) (weight ?t - tray) (speed) (spare ?b - bin))

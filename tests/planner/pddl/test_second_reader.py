@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import pytest
 
-from planner import instance
+from planner import MismatchError, instance
 from planner.pddl.reader import read
 from planner.pddl.validation import LATE, SecondReader
-from planner.system.errors import MismatchError
 
 
 def process_of(second: SecondReader) -> int:

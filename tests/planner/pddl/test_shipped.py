@@ -11,9 +11,8 @@ import pytest
 from conftest import DOMAINS, KITTING, ROOT, SHIPPED, invoke
 
 from assist.cli import main
-from planner import PDDLError, find_instances, instance, load
+from planner import InputFileError, PDDLError, find_instances, instance, load
 from planner.pddl.instance_finder import bundled_tasks
-from planner.system.errors import InputFileError
 
 
 @pytest.fixture(autouse=True)

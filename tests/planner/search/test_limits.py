@@ -15,11 +15,10 @@ from test_dense import composed, only_dense, tied
 from test_sweep import COMPILED, UNLISTED, module
 from test_sweep import check as compared
 
-from planner import Effect, LimitError, Operator, Task
+from planner import Effect, LimitError, Operator, Packing, Task
 from planner.costtogo.orbit_table import orbits
 from planner.search import compiled_search
 from planner.search.invariants import Mutexes, determined, invariants
-from planner.search.packing import Packing
 from planner.search.state_ranking import StateRanking
 from planner.search.state_registry import RegistrySpace
 from planner.search.successor_generator import packed_operators, ranked_operators

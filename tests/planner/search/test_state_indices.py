@@ -17,10 +17,9 @@ from test_dense import composed, only_dense
 from test_sweep import COMPILED, UNLISTED, check, numbering, random_task, with_blocks_of
 from test_symmetry import copies
 
-from planner import Effect, LimitError, Operator, Packing, Task, Variable
+from planner import Effect, LimitError, Operator, Packing, SweepOptions, Task, Variable
 from planner.costtogo.orbit_table import orbits
 from planner.search import ranked_index, state_registry, successor_generator
-from planner.search.numbering import SweepOptions
 from planner.search.ranked_index import RankedIndex
 from planner.search.state_registry import RegistryIndex
 

@@ -23,8 +23,7 @@ from assist.certify import certify, upper_bound
 from assist.cli.output.solve_progress import LARGE_SEARCH, solving
 from assist.learning import Log
 from assist.people.choices import Choices
-from assist.person import qmdp, solve
-from assist.person.settings import Setting
+from assist.person import Setting, qmdp, solve
 from assist.studies.runner import run_study
 from assist.team import TeamAction, TeamState
 from planner import Instance, Table, cost_to_go, sweep

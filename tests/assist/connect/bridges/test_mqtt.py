@@ -25,9 +25,7 @@ from serving import served
 from starlette.testclient import TestClient
 
 from assist.cli.options.bridges import bridge_of
-from assist.connect.bridges.kernel import Bridge
-from assist.connect.bridges.mqtt import Mqtt
-from assist.connect.bridges.mqtt_settings import MqttSettings
+from assist.connect.bridges import Bridge, Mqtt, MqttSettings
 from assist.live import Joined, Left, Session
 from assist.live.live_setting import LiveSetting
 from assist.web.app import make_app

@@ -13,22 +13,23 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from assist.drawing.plots import study as study_figures
-from assist.drawing.plots import userstudy as userstudy_figures
-from assist.drawing.plots.belief import belief_figure
-from assist.drawing.plots.episode import episode_figure
+from assist.drawing.plots import (
+    belief_figure,
+    episode_figure,
+    trade_off_figure,
+)
+from assist.drawing.plots import (
+    study as study_figures,
+)
+from assist.drawing.plots import (
+    userstudy as userstudy_figures,
+)
 from assist.drawing.plots.study import COMPARISONS
 from assist.drawing.plots.style import LOOKS, PolicyLook, looks, save_for_pages
-from assist.drawing.plots.trade_off import trade_off_figure
-from assist.people.choices import Choices
-from assist.people.neighbours import Neighbours
-from assist.people.ranges import Population
+from assist.people import Choices, Neighbours, Population
 from assist.person.settings import Setting
-from assist.team.attention import AttentionSwitching
-from assist.team.baselines import NoAssistance
-from assist.team.belief_trace import beliefs_of_episode
+from assist.team import AttentionSwitching, NoAssistance, Pool, beliefs_of_episode
 from assist.team.illustration import sights
-from assist.team.pool import Pool
 from assist.team.simulate import simulate
 from assist.team.trace import Trace
 

@@ -18,8 +18,7 @@ from assist import Pool, compare, simulate
 from assist.certify import certify
 from assist.person import Setting
 from assist.studies.reports import PolicyComparison, comparison_of
-from assist.team import TeamAction, TeamState
-from assist.team.episodes import Episodes
+from assist.team import Episodes, TeamAction, TeamState
 from planner import cost_to_go
 
 POLICIES = ["none", "reactive", "attention"]

@@ -19,16 +19,12 @@ from studies import TINY, write
 
 from assist import Pool, simulate
 from assist.people.neighbours import Neighbours
-from assist.person.observation_model import ObservationModel
-from assist.person.settings import Setting
-from assist.studies.protocol import read
+from assist.person import ObservationModel, Setting
+from assist.studies import Study, load_study, read, run_study
 from assist.studies.reports.study_report import Report
 from assist.studies.reports.study_summary import ARM, Found, has_same_baseline
-from assist.studies.runner import load_study, run_study
-from assist.studies.study import Study
 from assist.team.policy_names import BASELINES
-from planner import Instance, cost_to_go, load
-from planner.system.errors import InputFileError
+from planner import InputFileError, Instance, cost_to_go, load
 
 
 @pytest.fixture(scope="module", autouse=True)

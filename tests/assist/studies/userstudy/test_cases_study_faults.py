@@ -21,18 +21,15 @@ from test_userstudy_pages import Web
 from userstudies import PLAN, Part, written
 
 from assist.declare import InapplicableError
-from assist.live.session import Session
-from assist.live.store import JournalError
+from assist.live import JournalError, Session
 from assist.studies.reports.userstudy_report import write_report
-from assist.studies.userstudy import events
+from assist.studies.userstudy import StudySession, events, read
 from assist.studies.userstudy.export import archive
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.session import JOURNAL, StudySession
+from assist.studies.userstudy.session import JOURNAL
 from assist.studies.userstudy.tables import tables
 from assist.web.tokens import AccessTokens
 from assist.web.user_study.service import StudyService
-from planner import Table
-from planner.system.errors import InputFileError
+from planner import InputFileError, Table
 
 
 def opened(table: Table, folder: Path, text: str = PLAN) -> StudySession:

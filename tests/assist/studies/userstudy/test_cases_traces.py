@@ -15,8 +15,7 @@ from test_event_store import content
 from test_userstudy_report import run
 from userstudies import PLAN, SCORES, written
 
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.session import StudySession
+from assist.studies.userstudy import StudySession, read
 from planner import Table
 
 WORDS = "Quittenmus am Dienstag"

@@ -16,15 +16,13 @@ from test_event_store import content, forked
 from userstudies import PLAN, SCORES, Open, Part, opened, written
 
 from assist.cli.user_study import _report
-from assist.declare import AbsentError, InapplicableError
-from assist.declare.refusals import Refusal
+from assist.declare import AbsentError, InapplicableError, Refusal
 from assist.live.store import JournalError, stored
 from assist.studies.reports.report_files import html_page
 from assist.studies.reports.userstudy_report import write_report
 from assist.studies.reports.userstudy_summary import summarise
-from assist.studies.userstudy.cohort import Cohort
+from assist.studies.userstudy import Cohort, read
 from assist.studies.userstudy.events import Withdrew
-from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import JOURNAL, REPORT, StudySession
 from assist.studies.userstudy.tables import tables
 from planner import Table

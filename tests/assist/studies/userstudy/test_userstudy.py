@@ -28,15 +28,13 @@ from assist.live.events import kinds
 from assist.live.store import stored
 from assist.people.user_code import UserChoiceModel
 from assist.studies.reports.userstudy_summary import summarise
-from assist.studies.userstudy import events
+from assist.studies.userstudy import Cohort, StudySession, events, read
 from assist.studies.userstudy.assignment import balanced_orders
-from assist.studies.userstudy.cohort import Cohort
 from assist.studies.userstudy.events import StudyEvent
-from assist.studies.userstudy.plan_file import FileTable, read
-from assist.studies.userstudy.session import JOURNAL, StudySession
+from assist.studies.userstudy.plan_file import FileTable
+from assist.studies.userstudy.session import JOURNAL
 from assist.studies.userstudy.tables import tables
-from planner import Instance, Table
-from planner.system.errors import InputFileError
+from planner import InputFileError, Instance, Table
 
 __all__ = ["opened"]
 

@@ -18,11 +18,8 @@ from userstudies import PLAN, Open, Part, opened, written
 
 from assist.declare.declared import DeclarationError, names_of
 from assist.studies.reports.userstudy_summary import summarise
+from assist.studies.userstudy import Item, Questionnaire, UserStudy, read
 from assist.studies.userstudy.export import files
-from assist.studies.userstudy.forms import Item
-from assist.studies.userstudy.plan import UserStudy
-from assist.studies.userstudy.plan_file import read
-from assist.studies.userstudy.questionnaires import Questionnaire
 from assist.studies.userstudy.session import JOURNAL
 from assist.studies.userstudy.tables import tables
 from assist.web.user_study.routes import form_of

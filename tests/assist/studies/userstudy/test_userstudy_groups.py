@@ -19,12 +19,11 @@ from assist.declare import Catalogue, InapplicableError, catalogue, languages
 from assist.studies.reports.userstudy_data import StudyData
 from assist.studies.reports.userstudy_report import report_text
 from assist.studies.reports.userstudy_summary import summarise
-from assist.studies.userstudy.plan_file import read
+from assist.studies.userstudy import read
 from assist.studies.userstudy.session import JOURNAL, StudySession
 from assist.studies.userstudy.tables import tables
 from assist.web.user_study.rehearsal import SimulatedParticipant
-from planner import Table
-from planner.system.errors import InputFileError
+from planner import InputFileError, Table
 
 __all__ = ["opened"]
 GROUPS = (
