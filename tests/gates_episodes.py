@@ -54,10 +54,7 @@ AXES: dict[str, dict[str, Feature]] = {
         "asks": Feature({"c_ask": 0.02, "ask_error": 0.1}, task="goals"),
         "asks about 1 goal": Feature({"c_ask": 0.02}),
     },
-    "size": {
-        "truncated": Feature(pool={"states": 1, "region": 12}),
-        "on demand": Feature(task="on demand"),
-    },
+    "size": {"truncated": Feature(pool={"states": 1, "region": 12}), "on demand": Feature(task="on demand")},
     "terms": {
         "terms": Feature(pool={"population": TERMS}),
         "terms of people": Feature(pool={"population": TERMS, "prior": Population()}),

@@ -116,10 +116,7 @@ def of_acting(table: Table, count: int) -> Iterator[tuple[str, Callable[[], Any]
 
     def full() -> Any:
         found = fit(table, Log.of(rows))
-        return [
-            estimates(r for r in found.values()),
-            [[r.check.p, *r.check.scores.values()] for r in found.values()],
-        ]
+        return [estimates(r for r in found.values()), [[r.check.p, *r.check.scores.values()] for r in found.values()]]
 
     yield "checked", full
     yield "own model", lambda: estimates(r for r in fit(table, Log.of(rows), model=short_sighted).values())

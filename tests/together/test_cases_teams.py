@@ -313,7 +313,7 @@ def test_a_study_says_that_its_episodes_were_cut_off(tmp_path: Path, monkeypatch
     monkeypatch.setattr("assist.studies.runner.outcomes", here)
     monkeypatch.setattr(study_report, "draw_all", lambda *_, **__: None)
     for limit, cut in ((7, True), (500, False)):
-        text = STUDY.partition("[[conditions]]")[0].replace("repeats = 2", "repeats = 3")
+        text = STUDY.partition("[[conditions]]")[0]
         file, out = write(tmp_path, f"{text}\n[setting]\nmax_steps = {limit}\n"), tmp_path / str(limit)
         result = invoke("study", "--protocol", file, "--out", out)
         assert result.exit_code == 0, result.output
@@ -491,10 +491,7 @@ def test_a_robot_that_would_ask_about_one_goal_is_refused(tiny: Table, tmp_path:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (
-            ("bound", TINY, "--humans", 2, "--trace", "x"),
-            "No such option '--trace'; simulate has it",
-        ),
+        (("bound", TINY, "--humans", 2, "--trace", "x"), "No such option '--trace'; simulate has it"),
         (("policy", TINY, "--gpa", 0.1), "No such option '--gpa'. Did you mean '--gap'?"),
         (
             ("simulate", TINY, "--humans", 2, "--episode", 3),

@@ -9,18 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from kills import (
-    DOMAINS,
-    TINY,
-    Figures,
-    alive,
-    kill_and_resume,
-    small_batch,
-    started,
-    study,
-    survival,
-    uninterrupted,
-)
+from kills import DOMAINS, TINY, Figures, alive, kill_and_resume, small_batch, started, study, survival, uninterrupted
 from recorded import lines, write_log
 
 from planner.system.processes import guarded_group

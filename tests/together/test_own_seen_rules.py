@@ -160,10 +160,7 @@ def stays(_: Any, theta: Any, *_of_event: Any) -> Any:
         (rule(lambda theta, _: theta + 10), r"Mine: leads to theta 10; expected a number from 0 to 1"),
         (rule(lambda theta, event: theta * event.folowed), "Mine: AttributeError: .* has no attribute 'folowed'"),
         (rule(lambda theta, _: theta[:3]), r"Mine: returns shape \(3, 1\) for 11 thetas"),
-        (
-            rule(lambda theta, event: theta * event.weight, envelope=stays),
-            "Mine: moves theta out of its `envelope`",
-        ),
+        (rule(lambda theta, event: theta * event.weight, envelope=stays), "Mine: moves theta out of its `envelope`"),
         ("folowed", r"'folowed'; did you mean 'followed'\?$"),
     ],
 )

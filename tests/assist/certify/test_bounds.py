@@ -92,7 +92,7 @@ def test_visits_are_what_a_team_of_one_is(pool: Pool, steps: int) -> None:
         said = np.where(position == HERE, np.maximum(action - 1, 0), action if steps == 0 else 0)
         return TeamAction(person[:, None], said[:, None])
 
-    run = simulate(one, act, humans=[0], episodes=2_000, seed=0, travel=travel, world="model")
+    run = simulate(one, act, humans=[0], episodes=1_000, seed=0, travel=travel, world="model")
     error = run.discounted_return.std() / np.sqrt(len(run))
     assert run.moves.sum() > 0
     assert solution.lower - 4 * error <= run.discounted_return.mean() <= solution.upper + 4 * error

@@ -146,11 +146,7 @@ def test_a_memory_limit_holds() -> None:
 
 @pytest.mark.parametrize(
     "error",
-    [
-        MemoryError(),
-        OSError(errno.ENOMEM, "Cannot allocate memory", "/bin/sh"),
-        RuntimeError("can't start new thread"),
-    ],
+    [MemoryError(), OSError(errno.ENOMEM, "Cannot allocate memory", "/bin/sh"), RuntimeError("can't start new thread")],
 )
 def test_whoever_finds_no_memory_it_is_said_of_the_instance(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
     def full(*_: object, **__: object) -> None:
@@ -259,11 +255,7 @@ def test_simulate_prints_a_table_and_draws_a_picture(tmp_path: Path) -> None:
         ((KITTING / "tiny.pddl", "--humans", 0), 2, "--humans"),
         ((KITTING / "tiny.pddl", "--humans", 5, "--pool", 3), 2, "more than --pool 3"),
         ((KITTING / "tiny.pddl", "--humans", 2, "--policy", "psychic"), 2, "psychic"),
-        (
-            (KITTING / "tiny.pddl", "--humans", 2, "--set", "gamma=1.5"),
-            2,
-            "gamma: 1.5; expected a number",
-        ),
+        ((KITTING / "tiny.pddl", "--humans", 2, "--set", "gamma=1.5"), 2, "gamma: 1.5; expected a number"),
         ((KITTING / "tiny.pddl", "--humans", 2, "--c-move", -1), 2, "--c-move: -1; expected a number from 0"),
         (
             (KITTING / "tiny.pddl", "--humans", 2, "--set", "population.theta=[0.5, 1.5]"),

@@ -42,10 +42,7 @@ def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
     options = [one for one in serve.params if one.name not in without and not isinstance(one, FieldOption)]
     lines = []
     for one in options:
-        value = {
-            "humans": "3",
-            "trusted_proxy": '["10.0.0.1"]',
-        }.get(str(one.name))
+        value = {"humans": "3", "trusted_proxy": '["10.0.0.1"]'}.get(str(one.name))
         if isinstance(one.type, click.Choice):
             value = f'"{one.type.choices[0]}"'
         elif value is None and one.multiple:

@@ -455,11 +455,7 @@ def test_episodes_that_a_suggestion_costs_are_counted(tmp_path: Path) -> None:
 
 def test_what_depends_on_an_unknown_cost_is_left_out(tiny: Table) -> None:
     """Excluded are ann's step with a suggestion and her later steps of that episode, and bob's step alone."""
-    rows = [
-        *lines(FETCH, RIGHT, BACK, told={1: WRONG}),
-        *lines(FETCH, episode="2"),
-        *lines(*PLAN, person="bob"),
-    ]
+    rows = [*lines(FETCH, RIGHT, BACK, told={1: WRONG}), *lines(FETCH, episode="2"), *lines(*PLAN, person="bob")]
     recording, _ = replay(log_of(rows), tiny)
     h = tiny.h.copy()
     h[recording.targets[1, 1]] = np.nan

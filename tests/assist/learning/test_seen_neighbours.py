@@ -60,7 +60,7 @@ def logged(task: Table, rule: Any, trust: str, *, people: int, episodes: int) ->
 @pytest.mark.parametrize("trust", ["constant", "paper", "outcome"])
 @pytest.mark.parametrize("rule", [SeenOutcome(0.2), SeenFollowed(0.1, 0.2), SeenSteps(0.5, 0.8)])
 def test_theta_at_each_suggestion_is_that_of_the_simulation(tiny: Table, rule: Any, trust: str) -> None:
-    pool, trace, found = logged(tiny, rule, trust, people=5, episodes=12)
+    pool, trace, found = logged(tiny, rule, trust, people=5, episodes=6)
     own = {"constant": constant(), "paper": EquationSeven(), "outcome": outcome()}[trust]
     moved = 0
     for o in found:

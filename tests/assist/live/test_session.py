@@ -340,10 +340,7 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            b"UPDATE events SET record = 'half a li' WHERE n = 1",
-            "event 1 cannot have happened: 'half a li': expected",
-        ),
+        (b"UPDATE events SET record = 'half a li' WHERE n = 1", "event 1 cannot have happened: 'half a li': expected"),
         (b"UPDATE events SET record = '{}' WHERE n = 1", "event 1 cannot have happened"),
         (b"DELETE FROM events WHERE n = 1", "event 1 cannot have happened: event 2; expected 1"),
         (b"DROP TABLE events", "event 1 cannot have happened"),

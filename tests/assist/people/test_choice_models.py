@@ -207,9 +207,8 @@ def test_weights_of_0_change_nothing(tiny: Table, knowledge: Any) -> None:
         tiny, 4, seed=3, setting=setting, population=Population(weights=dict.fromkeys(WEIGHTS, (0, 0)))
     )
     assert len(with_0.choices(0)) > len(without.choices(0))
-    for world in ("people", "model"):
-        for policy in ("attention", "priority"):
-            assert episodes(with_0, policy, world=world) == episodes(without, policy, world=world)
+    for world, policy in (("people", "attention"), ("model", "priority")):
+        assert episodes(with_0, policy, world=world) == episodes(without, policy, world=world)
 
 
 def test_people_with_terms_are_otherwise_the_same(tiny: Table) -> None:

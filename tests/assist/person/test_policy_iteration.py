@@ -172,10 +172,7 @@ def check_values(alone: AssistPOMDP, gamma: float) -> None:
         policy = np.broadcast_to(action[:, None, None], least.shape)
         rtol = 1e-12 + ROUNDING / (1 - gamma)  # the margin of a certified bound
         np.testing.assert_allclose(
-            least[known],
-            plain.of(least, policy)[known],
-            rtol=0,
-            atol=1e-8 + 2 * rtol * np.abs(least).max(initial=0.0),
+            least[known], plain.of(least, policy)[known], rtol=0, atol=1e-8 + 2 * rtol * np.abs(least).max(initial=0.0)
         )
 
 

@@ -14,19 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assist.people import Choices, Human, HumanModel, Misconception, Population, Reliability
-from assist.person import (
-    AssistPOMDP,
-    Assumptions,
-    OfRobots,
-    PersonProblem,
-    Setting,
-    Solution,
-    TruncatedTask,
-    solve,
-)
-from assist.person import (
-    truncated_task as region,
-)
+from assist.person import AssistPOMDP, Assumptions, OfRobots, PersonProblem, Setting, Solution, TruncatedTask, solve
+from assist.person import truncated_task as region
 from assist.person.closed_problem import closed_problem
 from assist.person.likely_states import perceived_of_states
 from assist.person.pomdp import Behaviour

@@ -51,10 +51,7 @@ def stacks(rng: random.Random) -> Draft:
     standing = set(initial)
     initial += [int(support not in standing) for support in range(supports)]
     operators = [
-        (
-            {box: a, boxes + box: 1, boxes + b: 1},
-            {box: b, boxes + a: 1, boxes + b: 0},
-        )
+        ({box: a, boxes + box: 1, boxes + b: 1}, {box: b, boxes + a: 1, boxes + b: 0})
         for box in range(boxes)
         for a in range(supports)
         for b in range(supports)
@@ -184,8 +181,7 @@ def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:
 
 
 @pytest.mark.parametrize(
-    "given",
-    thinned([(40, 3, 3, 0), (39, 3, 4, 0), (70, 2, 4, 0), (2, 2, 4, 256), (13, 40, 2, 0), (61, 2, 3, 0)], 3),
+    "given", thinned([(40, 3, 3, 0), (39, 3, 4, 0), (70, 2, 4, 0), (2, 2, 4, 256), (13, 40, 2, 0), (61, 2, 3, 0)], 3)
 )
 def test_many_variables_that_determine_each_other_fit_no_word(given: tuple[int, int, int, int]) -> None:
     """Their values together are more than 64 bits, and more variables are constant than a field counts."""

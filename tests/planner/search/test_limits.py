@@ -134,10 +134,7 @@ def found(task: Task) -> list[Any]:
 
 def test_messages_say_in_which_phase_time_ended() -> None:
     task = chains(1, 5)
-    for budget, how in (
-        (LATE, "out of time"),
-        (Budget(None, math.inf, None, stop := threading.Event()), "stopped"),
-    ):
+    for budget, how in ((LATE, "out of time"), (Budget(None, math.inf, None, stop := threading.Event()), "stopped")):
         stop.set()
         for phase, search in (
             ("operators were split", lambda b: compiled_search.explored(task, b, 1, lambda *_: None, COMPILED)),

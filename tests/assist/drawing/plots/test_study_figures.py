@@ -13,17 +13,9 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from assist.drawing.plots import (
-    belief_figure,
-    episode_figure,
-    trade_off_figure,
-)
-from assist.drawing.plots import (
-    study as study_figures,
-)
-from assist.drawing.plots import (
-    userstudy as userstudy_figures,
-)
+from assist.drawing.plots import belief_figure, episode_figure, trade_off_figure
+from assist.drawing.plots import study as study_figures
+from assist.drawing.plots import userstudy as userstudy_figures
 from assist.drawing.plots.study import COMPARISONS
 from assist.drawing.plots.style import LOOKS, PolicyLook, looks, save_for_pages
 from assist.people import Choices, Neighbours, Population

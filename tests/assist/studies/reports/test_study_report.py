@@ -68,9 +68,7 @@ def test_the_summary_is_computed_over_pools(small_study: tuple[Study, Path, dict
     assert found.summary() == printed
 
 
-def test_savings_by_team_size_differ_by_the_decline_that_is_reported(
-    small_study: tuple[Study, Path, dict],
-) -> None:
+def test_savings_by_team_size_differ_by_the_decline_that_is_reported(small_study: tuple[Study, Path, dict]) -> None:
     _, _, printed = small_study
     for found in printed["decline"]:
         small, large = (

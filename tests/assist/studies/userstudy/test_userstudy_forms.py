@@ -142,9 +142,7 @@ def test_whatever_is_answered_is_accepted_or_refused_in_one_sentence(item: Item,
     assert score is None or item.ends[0] <= score <= item.ends[1]
 
 
-def test_participants_see_the_questions_of_their_condition_in_an_order_of_their_own(
-    opened: Open,
-) -> None:
+def test_participants_see_the_questions_of_their_condition_in_an_order_of_their_own(opened: Open) -> None:
     session, orders = opened(WITH_FORMS), {}
     for name in ("ann", "bob", "cid", "dora"):
         part = Part(session, name)

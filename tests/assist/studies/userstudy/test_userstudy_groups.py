@@ -363,11 +363,7 @@ def test_within_participants_the_differences_are_those_of_groups(opened: Open) -
     ("right", "wrong", "message"),
     [
         ("size = 3", "size = 1", "group.size: 1; expected a whole number from 2 to 20"),
-        (
-            "wait = 5",
-            'then = "later"',
-            'group.then: "later"; expected "end" or "alone" or "start"',
-        ),
+        ("wait = 5", 'then = "later"', 'group.then: "later"; expected "end" or "alone" or "start"'),
         ("seed = 3", "seed = 3\nsimulated = 1", "simulated: 1; expected 0 in a study with groups"),
         ("seed = 3", "seed = 3\nparticipants = 4", "participants: 4; expected a multiple of 3"),
     ],
