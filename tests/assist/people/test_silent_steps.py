@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import graph_task
-from silence import Belief, OnePerson, Rested, ThreeInARow
+from silence import Belief, HalfSeen, Joint, OnePerson, Rested, ThreeInARow, TwoPeople
 from test_trust_fit import recorded, seen
 
 from assist.certify.team_bound import upper_bound
@@ -17,12 +19,14 @@ from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import LikelihoodTable
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.decision import NOTHING
+from assist.people.decision import NOTHING, Floats
 from assist.people.human import Human, HumanModel
 from assist.people.ranges import Population
 from assist.people.trust_rules import Event, TrustRule, constant, outcome
 from assist.people.user_code import UserCodeError
 from assist.person.behaviour import Behaviour
+from assist.person.joint_belief import JointBelief
+from assist.person.observation_model import ObservationModel
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.robots import OfRobots
@@ -46,10 +50,13 @@ def chain() -> Choices:
     return Choices.of(sweep(graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 2), (1, 2, 1)], start=3)))
 
 
-def problem(rule: TrustRule, c_suggest: float = 0.05) -> AssistPOMDP:
-    model = HumanModel.exact(chain(), lapse=0.02)
-    robot = OfRobots(c_suggest=c_suggest)
-    return AssistPOMDP.of(model, grid=GRID, gamma=GAMMA, robot=robot, behaviour=Behaviour(trust=rule))
+def problem(rule: TrustRule, c_suggest: float = 0.05, of: Choices | None = None) -> AssistPOMDP:
+    """Return one person's problem; on a task that is given, every action may be suggested."""
+    model = HumanModel.exact(of or chain(), lapse=0.02)
+    return AssistPOMDP.of(
+        model, grid=GRID, gamma=GAMMA, robot=OfRobots(c_suggest=c_suggest), behaviour=Behaviour(trust=rule),
+        suggestions="optimal" if of is None else "all",
+    )  # fmt: skip
 
 
 def beliefs_of(pomdp: AssistPOMDP) -> Belief:
@@ -148,6 +155,129 @@ def test_no_policy_is_above_the_teams_bound(rule: TrustRule) -> None:
             found = simulate(pool, name, humans=list(range(size)), episodes=1500, seed=0, world="model")
             value = found.discounted_return
             assert value.mean() - 4 * value.std(ddof=1) / np.sqrt(len(value)) <= bound.proven + 1e-9
+
+
+SHORT = 0.2
+"""A discount factor with which five steps are nearly everything."""
+
+
+def two_people(rule: TrustRule) -> tuple[Pool, TwoPeople, tuple[Any, Any], float]:
+    """Return two people, their brute force, how they begin, and what is left after five steps at most."""
+    setting = Setting(gamma=SHORT, c_suggest=0.02, c_move=0.01, lapse=0.02, trust=rule, knowledge="exact", max_steps=5)
+    pomdp = replace(problem(rule, c_suggest=0.02), gamma=SHORT)
+    pool = Pool(setting, (Human(2.0, 0.5, 0.0, chain().h),) * 2, (qmdp(pomdp),), np.zeros(2, dtype=int))
+    person = pomdp.model.choices.initial, tuple(beliefs_of(pomdp).items())
+    both = TwoPeople(replace(exact(rule, 0.02), gamma=SHORT), c_move=0.01)
+    return pool, both, (person, person), 2 * 2.03 * SHORT**5 / (1 - SHORT)
+
+
+@pytest.mark.parametrize("rule", ON_GRID, ids=str)
+def test_the_best_that_a_robot_can_do_for_two_people_is_just_below_the_bound(rule: TrustRule) -> None:
+    """Theta of both moves in each step. The values of the two rules are further apart than these bounds."""
+    pool, both, people, rest = two_people(rule)
+    best, bound = both.value(people, 5), upper_bound(pool, gap=1e-4).proven
+    assert best - rest <= bound + 1e-9
+    assert bound <= best + 0.006 * abs(best)
+    run = simulate(pool, "attention", humans=[0, 1], episodes=4000, seed=0, world="model").discounted_return
+    assert run.mean() <= best + 4 * run.std() / np.sqrt(len(run))
+
+
+@pytest.mark.parametrize("rule", ON_GRID, ids=str)
+def test_two_people_have_the_value_of_plain_arithmetic(rule: TrustRule) -> None:
+    pool, both, people, _ = two_people(rule)
+    turns = [0, 1, None, 0, 1]
+
+    def act(team: TeamState) -> TeamAction:
+        person = np.full(team.location.shape, NOBODY if turns[team.step] is None else turns[team.step])
+        person[~team.active[np.arange(len(person)), person.ravel()]] = NOBODY
+        return team.act(person, team.first_optimal())
+
+    found = simulate(pool, act, humans=[0, 1], episodes=8000, seed=0, world="model").discounted_return
+    expected = both.value(people, 5, turns.__getitem__)
+    assert found.mean() == pytest.approx(expected, abs=4 * found.std() / np.sqrt(len(found)))
+
+
+@cache
+def two_routes() -> Choices:
+    """Return a task with two routes to the goal, so that a robot that misses a step does not know what to suggest."""
+    edges = [(4, 3, 1), (4, 2, 2), (3, 1, 1), (3, 4, 1), (2, 1, 1), (2, 4, 2), (1, 0, 1), (1, 3, 1), (1, 2, 1)]
+    return Choices.of(sweep(graph_task(edges, start=4)))
+
+
+def half_seen(rule: TrustRule, gamma: float = GAMMA) -> tuple[AssistPOMDP, HalfSeen, Joint]:
+    """Return a person whose actions are missed or confused, with their brute force and how they begin."""
+    pomdp = replace(problem(rule, of=two_routes()), gamma=gamma)
+    one = HalfSeen(two_routes(), rule, gamma, 0.05, 0.02, miss=0.2, confusion=0.3)
+    start = pomdp.model.choices.initial
+    return pomdp, one, {(start, *cell): p for cell, p in beliefs_of(pomdp).items()}
+
+
+def as_mapping(belief: JointBelief, grid: Grid) -> Joint:
+    """Return a joint belief by single values."""
+    return {
+        (int(belief.situations[n]), float(grid.beta[b]), float(grid.theta[t]), int(grid.count[t])): float(p)
+        for (n, b, t), p in np.ndenumerate(belief.joint)
+        if p > 0
+    }
+
+
+@pytest.mark.parametrize("rule", [*ON_GRID, constant()], ids=str)
+def test_beliefs_over_states_are_those_of_plain_arithmetic(rule: TrustRule) -> None:
+    """After suggestions and without, whatever is seen; the mean over what may be seen is the belief unseen."""
+    pomdp, one, start = half_seen(rule)
+    c, policy, model = pomdp.model.choices, qmdp(pomdp), ObservationModel(0.2, 0.3)
+
+    def follow(belief: JointBelief, joint: Joint, said: list[int | None]) -> None:
+        if not said:
+            return
+        _, found = one.step(joint, said[0])
+        going_on = sum(sum(after.values()) for after in found.values())
+        mean, unseen = defaultdict[Any, float](float), found[None]
+        for sight, after in found.items():
+            mass = sum(after.values())
+            word = NOTHING if said[0] is None else said[0]
+            then = belief.after(model.evidence(c, sight), word, policy, least=0.0, works=True)
+            expected = {key: p / mass for key, p in after.items() if p > 0}
+            assert as_mapping(then, pomdp.grid) == pytest.approx(expected, rel=1e-12)
+            if sight is not None:
+                assert then.evidence * (1 - model.miss) == pytest.approx(mass, rel=1e-12)
+            for key, p in as_mapping(then, pomdp.grid).items():
+                mean[key] += mass / going_on * p
+            follow(then, expected, said[1:])
+        assert mean == pytest.approx({key: p / sum(unseen.values()) for key, p in unseen.items() if p > 0}, rel=1e-12)
+
+    first, other, on, back, last = (int(c.actions[x, slot]) for x, slot in ((4, 0), (4, 1), (3, 0), (3, 1), (1, 0)))
+    for said in ([first, on, last], [other, None, on], [None, on, back], [first, first, None]):
+        follow(JointBelief.at(c.initial, pomdp.prior), start, said)
+
+
+@pytest.mark.parametrize("rule", [*ON_GRID, constant()], ids=str)
+def test_what_a_robot_loses_that_sees_badly_is_that_of_plain_arithmetic(rule: TrustRule) -> None:
+    """Compared in pairs with a robot that sees all, for the same people and chances."""
+    pomdp, one, start = half_seen(rule, gamma=0.9)
+    c = two_routes()
+
+    def act(team: TeamState) -> TeamAction:
+        person = np.full(team.location.shape, 0 if speaks(team.step) else NOBODY)
+        person[~team.active.any(axis=1)] = NOBODY
+        return team.act(person, team.first_optimal())
+
+    def says(step: int, x: int) -> int | None:
+        return int(c.actions[x, np.flatnonzero(c.optimal[x])[0]]) if speaks(step) else None
+
+    def returns(seen: ObservationModel | None) -> Floats:
+        setting = Setting(
+            gamma=0.9, c_suggest=0.05, c_move=0.0, lapse=0.02, trust=rule, max_steps=5, knowledge="exact",
+            observation=seen,
+        )  # fmt: skip
+        pool = Pool(setting, (Human(2.0, 0.5, 0.0, c.h),), (qmdp(pomdp),), np.zeros(1, dtype=np.int64))
+        return simulate(pool, act, humans=[0], episodes=4000, seed=0, world="model").discounted_return
+
+    lost = returns(None) - returns(ObservationModel(one.miss, one.confusion))
+    expected = [each.policy_value(start, 5, says) for each in (replace(one, miss=0.0, confusion=0.0), one)]
+    error = lost.std() / np.sqrt(len(lost))
+    assert lost.mean() == pytest.approx(expected[0] - expected[1], abs=4 * error)
+    assert expected[0] - expected[1] > 4 * error
 
 
 @pytest.mark.parametrize("carry", [True, False])
