@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from conftest import invoke
+from recorded import write_log
 
 import assist
 from assist.certify import upper_bound
-from assist.cli import main
 from assist.learning import RuleFamily, compare_rules, fit_influence, replayed
 from assist.live import Assistant, Session
 from assist.people import Population, UserCodeError
@@ -70,12 +70,7 @@ def log(tmp_path: Path) -> Path:
     pool = Pool.sample(TINY, 2, seed=0, setting=Setting(c_suggest=0.01, suggestions="all"))
     rows: list[Any] = []
     _ = simulate(pool, "reactive", humans=2, episodes=4, seed=0, trace=rows)
-    (file := tmp_path / "log.jsonl").write_text("".join(f"{json.dumps(row)}\n" for row in rows))
-    return file
-
-
-def invoke(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(one) for one in arguments])
+    return write_log(tmp_path / "log.jsonl", rows)
 
 
 def test_a_rule_in_a_file_is_the_same_as_the_object(own: Path) -> None:

@@ -14,6 +14,7 @@ from conftest import FEW, graph_task, kit, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_goal_bounds import ring
+from test_robots import TASK
 
 from assist.certify import (
     BoundOptions,
@@ -42,11 +43,8 @@ upper_bound = partial(team_bound.upper_bound, options=FEW)
 
 @pytest.fixture(scope="module")
 def choices() -> Choices:
-    """A chain from 3 over 2 and 1 to the goal 0 with steps of cost 1.
-
-    Steps back are possible; that from 2 to 3 costs 4.
-    """
-    return Choices.of(sweep(graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 4), (1, 2, 1)], start=3)))
+    """A chain from 3 to the goal 0, on which a step back from 2 costs 4."""
+    return Choices.of(sweep(TASK))
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import invoke, kit
+from learning_figures import short_sighted
 from recorded import people_at_work, write_log
 
 from assist import fit
@@ -17,18 +18,11 @@ from planner import OnDemand
 
 PAPER = kit("paper")
 ROWS = people_at_work(Choices.of(PAPER), [0.4, 1.2, 2.5], np.random.default_rng(7), suggest=0.4)
-HORIZON = 4.0
 
 
 def same(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """The paper's model, as anybody may write it."""
     return boltzmann(choices, q, beta)
-
-
-def short_sighted(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    seen = np.minimum(q, HORIZON)
-    weight = np.exp(-beta[:, None, None] * (seen - seen.min(axis=1, keepdims=True))) * choices.applicable
-    return weight / np.maximum(weight.sum(axis=2, keepdims=True), 1e-300)
 
 
 def walked(model: object, beta: float, episodes: int) -> list[dict]:

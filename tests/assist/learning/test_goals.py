@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import DOMAINS, KITTING, ROOT, invoke, kit
+from conftest import DOMAINS, KITTING, ROOT, invoke
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_unknown_goals import three_goals
 
 from assist.learning import InferredGoals, Log, fit, infer_goals
 from planner import Instance, OnDemand, PDDLError, Table, load, sweep, sweep_goals
@@ -24,20 +25,7 @@ UNREACHABLE = "is unreachable or holds in the initial state; expected one that h
 PRIOR = {"a": 0.5, "b": 0.2, "c": 0.3}
 
 
-def three_goals(name: str) -> dict[str, Table]:
-    """Tables of a shipped kitting task with its own goal and with those of two states on random walks."""
-    task, rng = kit(name).task, np.random.default_rng(5)
-    goals = [task.goal]
-    for length in (2, 4):
-        at = kit(name).initial
-        for _ in range(length):
-            at = int(rng.choice(kit(name).choices([at]).targets))
-        values = kit(name).values([at])[0].tolist()
-        goals.append(tuple(enumerate(values))[-2:])
-    return dict(zip("abc", sweep_goals([replace(task, goal=goal) for goal in goals]), strict=True))
-
-
-TABLES = {name: three_goals(name) for name in ("tiny", "sealed")}
+TABLES = {name: dict(three_goals(name).tables) for name in ("tiny", "sealed")}
 
 
 def walk(goals: dict[str, Table], rng: np.random.Generator, length: int) -> list[int]:

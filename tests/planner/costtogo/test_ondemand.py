@@ -221,7 +221,8 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
     limited = cost_to_go(tiny.task, max_states=10)
     assert isinstance(limited, OnDemand)
     assert limited.reason == "more than 10 states"
-    little = cost_to_go(load(HUGE), memory_limit_mb=20)
+    huge = load(HUGE)
+    little = cost_to_go(huge, memory_limit_mb=20)
     assert isinstance(little, OnDemand)
     assert "memory" in (little.reason or "")
     middle, sweep_of = load(KITTING / "ladder-4x6.pddl"), portfolio.sweep
@@ -243,7 +244,7 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
         patch.setattr("planner.costtogo.portfolio.FIRST", 60)
         assert isinstance(cost_to_go(tiny.task, states=tiny.values([0, 1])), Table)
     with pytest.raises(LimitError):
-        cost_to_go(load(HUGE), deadline=time.monotonic())
+        cost_to_go(huge, deadline=time.monotonic())
 
 
 def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -78,7 +78,7 @@ def test_a_plan_that_needs_more_values_is_refused_by_name(tmp_path: Path) -> Non
     problem = "(:init (= (n) 0)) (:goal (= (n) 40))"
     with pytest.raises(PDDLError, match=r"\(n\) grows without a limit \(up\) and falls without a limit \(down\)"):
         loaded(tmp_path, FREE, problem, most_values=16)
-    assert astar(loaded(tmp_path, FREE, problem, most_values=256))[0] == 20
+    assert astar(loaded(tmp_path, FREE, problem, most_values=128))[0] == 20
 
 
 def test_a_plan_that_leaves_the_values_is_never_taken_for_one(tmp_path: Path) -> None:
