@@ -11,7 +11,7 @@ from ..declare.options import Given, setting_options
 from .options.common import apart, baseline_option, figures_option, json_option, out_option, separate_files, together
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, folds_option, method_of, reading_options, task_log_options, with_task
-from .options.settings import EstimateSetting
+from .options.settings import OF_INFLUENCE, EstimateSetting
 from .options.trust import AdviceOptions, ComparedRules, advice_of, advice_options, compared_rules
 from .output.comparisons import ComparisonFiles, models_compared, rules_compared, show_comparison
 from .terminal.console import ExitCode, one_line_errors
@@ -56,7 +56,7 @@ def compare_models(
     from ..drawing.plots import style
 
     given.refuse(
-        ("goal_prior", "seed", "theta_per_episode", "neighbours", "confidence", "chooses"),
+        ("goal_prior", "seed", *OF_INFLUENCE, "confidence", "chooses"),
         "on a comparison of choice models",
     )
     with one_line_errors("interrupted; states evaluated on demand are saved"):

@@ -14,7 +14,7 @@ from .options.goals import goals_option
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, method_of, reading_options, task_log_options, with_goals, with_task
 from .options.population import RATES, choice_model_of
-from .options.settings import EstimateSetting
+from .options.settings import OF_INFLUENCE, EstimateSetting
 from .options.trust import AdviceOptions, advice_of, advice_options, influence_option
 from .output.people_estimates import FitFiles, learned, show_people
 from .output.trust_estimates import show_advice, show_influence
@@ -142,6 +142,6 @@ def _require_one_model(
     if what.trust not in (None, "paper"):
         given.refuse(RATES, f"with --influence {what.trust}")
     if not what.trust:
-        given.refuse(["theta_per_episode", "neighbours"], "without --influence")
+        given.refuse(OF_INFLUENCE, "without --influence")
     if not what.problems:
         given.refuse(["goal_prior"], "without --goals")

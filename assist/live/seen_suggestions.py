@@ -13,12 +13,12 @@ import numpy as np
 
 from ..declare.declared import MOST
 from ..declare.refusals import Refusal
-from ..people.decision import NOTHING, Floats
+from ..people.decision import Floats
 from ..people.neighbourhood import NOBODY_SEES
 from ..people.neighbours import SeenEvent, parts_of
 from ..people.trust_rules import TrustRule
 from ..person.settings import Setting
-from ..team.seen import gained
+from ..team.seen import answers
 from .beliefs import believe_again
 from .explanation import Remark
 from .roster import News, Roster, RosterEntry
@@ -126,15 +126,13 @@ class SeenSuggestions:
             self.require_all_seen()
         team, offer = self._team, record.offer if heard else None
         seen = team.beliefs.neighbours.watched[record.place : record.place + 1].any()
-        if action is None or offer is None or not seen:
+        if action is None or offer is None or not seen or team.stopped(record):
             return None
         problem, row = record.problem, team.row(record)
-        suggested = int(problem.policy.pomdp.suggested[row, offer.said])
-        if suggested == NOTHING or team.stopped(record):
-            return None
         slot = problem.slot(row, action)
-        gain = float(gained(problem.policy, np.array([row]), np.array([problem.after(row, slot)]))[0])
-        return slot == suggested, min(max(gain, -MOST), MOST)
+        step = (np.array([one]) for one in (row, offer.said, slot, problem.after(row, slot)))
+        told, followed, gain = answers(problem.policy, *step)
+        return (bool(followed[0]), min(max(float(gain[0]), -MOST), MOST)) if told[0] else None
 
     def let_see(self, record: RosterEntry, followed: bool, gain: float) -> None:
         """Let those who are present and see a person see what came of a suggestion by the present event."""

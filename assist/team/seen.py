@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Bools, Floats
 from ..people.neighbourhood import Helped, seen_gain
 from ..person.beliefs import Beliefs, PersonModel
 from ..person.policy import Policy
@@ -44,13 +44,12 @@ def let_see(
     uniform = draw(Stream.NEIGHBOURS) if them.on_grid and len(neighbours.sees) else None
     if not shown.any():
         return
-    gain, (told, follows, there) = np.zeros(len(after)), np.zeros((3, len(after)), dtype=bool)
+    heard, (told, follows, there) = np.where(shown.reshape(-1), acts.heard, 0), np.zeros((3, len(after)), dtype=bool)
+    gain = np.zeros(len(after))
     for model, flat in models:
         own, grid = acts.of(flat), model.pomdp.grid
-        suggested = model.pomdp.suggested[own.x, own.heard]
-        advised = shown.reshape(-1)[flat] & (suggested != NOTHING) & (own.slot != NOTHING)
-        told[flat], follows[flat], there[flat] = advised, own.slot == suggested, own.goes_on
-        gain[flat[advised]] = gained(model.policy, own.x[advised], after[flat[advised]])
+        told[flat], follows[flat], gain[flat] = answers(model.policy, own.x, heard[flat], own.slot, after[flat])
+        there[flat] = own.goes_on
     those = np.flatnonzero(told)
     helped = Helped(*np.divmod(those, shape[1]), gain[those], follows[those])
     theta, there = them.theta.reshape(-1), there.reshape(shape)
@@ -60,6 +59,21 @@ def let_see(
         low, up = grid.shares(theta[who], them.outcomes.reshape(-1)[who])
         theta[who] = grid.theta[low + (uniform[who] < up)]
     neighbours.believed.believe(beliefs.belief, grid, helped, there)
+
+
+def answers(policy: Policy, x: Ints, heard: Ints, slot: Ints, after: Ints) -> tuple[Bools, Bools, Floats]:
+    """Return who answered a suggestion, whether they followed it, and what came of it, each of shape (m,).
+
+    Parameters
+    ----------
+    policy : Policy
+    x, heard, slot, after : int arrays, shape (m,)
+        Rows of people, the robot actions that they heard, what they chose, and the rows after it.
+    """
+    suggested, gain = policy.pomdp.suggested[x, heard], np.zeros(len(x))
+    told = (suggested != NOTHING) & (slot != NOTHING)
+    gain[told] = gained(policy, x[told], after[told])
+    return told, told & (slot == suggested), gain
 
 
 def gained(policy: Policy, before: Ints, after: Ints) -> Floats:

@@ -209,6 +209,10 @@ class ReadingSetting:
     ] = None
 
 
+OF_INFLUENCE = ("theta_per_episode", "neighbours")
+"""Fields that are about how theta moves."""
+
+
 @declared
 class EstimateSetting(Method, ReadingSetting):
     """The setting of an estimation from a log."""
