@@ -5,31 +5,32 @@ theta of all people. The numbers of both are products over people, so that two p
 are about the limit. The solution is the reference for scalable methods: team policies, and the bound for large teams
 (`assist.certify.team_bound`).
 
-The problem is built from each person's `AssistPOMDP` (`joint_problem.py`). It is solved by heuristic search value
-iteration (Smith and Simmons, "Heuristic search value iteration for POMDPs", 2004) in its basic form. The lower bound
-consists of alpha vectors, the first of which is the policy that never helps. The upper bound consists of the MDP values
-with everything observed, and of points with sawtooth interpolation. The code is independent of the solver of one
-person's POMDP, so that each checks the other.
+It is found by heuristic search value iteration (Smith and Simmons, "Heuristic search value iteration for POMDPs", 2004)
+in its basic form. The lower bound consists of alpha vectors, the first of which is the policy that never helps. The
+upper bound consists of the MDP values with everything observed, and of points with sawtooth interpolation. The code is
+independent of the solver of one person's POMDP, so that each checks the other.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterator
+from functools import cache, reduce
+from itertools import product
+from operator import itemgetter
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
-from joint_problem import Ints, JointProblem, product_of, written_out
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from assist.people.decision import Floats
-from assist.team.pool import Pool
-from assist.team.state import NOBODY
+from assist.person import AssistPOMDP
+from assist.team import NOBODY, Pool
 
-DEPTH = 500
-"""Largest number of steps of a trial."""
+Ints = NDArray[np.int64]
 
-SETTLED = 1e-9
-"""Value iteration stops when a sweep changes no value by more, in cost units."""
+SETTLED = 1e-7
+"""Value iteration stops when a sweep changes no value by more, in cost units. Each iterate is a bound."""
 
 MARGIN = 1e-10
 """The bounds are widened by this relative margin, which exceeds the accumulated rounding error."""
@@ -40,26 +41,9 @@ AIM = 0.5
 FINEST, LEAST = 1e-2, 1e-6
 """An improvement is stored if it exceeds this share of a trial's target: at first, and at the end."""
 
-NONE = -1
 
-
-@dataclass(frozen=True)
-class JointBounds:
-    """Bounds on the optimal value of a team.
-
-    Attributes
-    ----------
-    lower : float
-        Expected discounted return of some policy from the beginning of an episode, in cost units.
-    upper : float
-        Upper bound on that of every policy.
-    never : float
-        That of never helping.
-    states : int
-        Number of observed states: the states of all tasks and the robot's location.
-    hidden : int
-        Number of hidden states: beta and theta of all people.
-    """
+class JointBounds(NamedTuple):
+    """Bounds on the optimal value of a team, of never helping, and how many states are observed and hidden."""
 
     lower: float
     upper: float
@@ -73,333 +57,198 @@ class JointBounds:
         return (self.upper - self.lower) / abs(self.lower) if self.lower else 0.0
 
 
-def joint_bounds(
-    pool: Pool,
-    team: tuple[int, ...] | None = None,
-    *,
-    gap: float = 1e-3,
-) -> JointBounds:
-    """Solve the POMDP of a team in which all people start together, in the robot's model.
-
-    The robot moves to a person only to act there. Moving earlier has no advantage as long as the distances satisfy the
-    triangle inequality.
-
-    Parameters
-    ----------
-    pool : Pool
-    team : tuple of int, optional
-        Indices of the team's people; the whole pool unless given.
-    gap : float
-        Stop when (upper - lower) / |lower| is at most this.
-    """
-    team = tuple(range(len(pool.people))) if team is None else team
-    travel = pool.setting.travel(len(team))
-    people = [pool.policies[pool.model[person]].pomdp for person in team]
-    m = written_out(people, travel)
-    belief = product_of([pomdp.prior.ravel() for pomdp in people])
-    tasks = np.ravel_multi_index([p.model.choices.initial for p in people], [len(p.robot_actions) for p in people])
-    root = int(tasks) * len(m.way) + len(people)  # the base is the last location
-    states, hidden = len(m.way) * (len(m.first) - 1), len(belief)
-    # Costs are nonnegative. From 0, every iterate is an upper bound; from the largest cost in every step, a lower
-    # bound.
-    seen = np.zeros((states, hidden))
-    never = np.full((states, hidden), m.reward.min() / (1 - m.gamma))
-    for value, helping in ((seen, True), (never, False)):
-        while _sweep(value, helping, m) > SETTLED:
-            pass
-    plans, points = _Store.of(never, np.arange(states)), _Store.of(np.empty((0, hidden)), np.full(states, NONE))
-    path, beliefs = np.full(DEPTH, root), np.tile(belief, (DEPTH, 1))
-    plans, points, finest = plans.with_room(), points.with_room(), FINEST
-    _trial(path, beliefs, np.inf, finest, plans, points, seen, m)  # loads or compiles the code
-    while True:
-        lower, upper = _lower(root, belief, plans)[0], _upper(root, belief, seen, points)
-        if upper - lower <= gap * abs(lower):
-            break
-        plans, points = plans.with_room(), points.with_room()
-        aim = max(gap * abs(lower), AIM * (upper - lower))
-        if not _trial(path, beliefs, aim, finest, plans, points, seen, m):
-            finest /= 2
-            if finest < LEAST:  # the rest is rounding error
-                break
-    return JointBounds(
-        lower=lower - MARGIN * abs(lower), upper=upper + MARGIN * abs(upper), never=float(never[root] @ belief),
-        states=states, hidden=hidden,
-    )  # fmt: skip
-
-
-class _Store(NamedTuple):
-    """Vectors of observed states, in a linked list for each state.
-
-    In the lower bound they are alpha vectors. In the upper bound they are beliefs, at which the bound is lower by
-    `drop` than the MDP value.
+class Deed(NamedTuple):
+    """What the robot does in some states of all tasks, and its L outcomes, which are people's actions.
 
     Attributes
     ----------
-    row : float array, shape (C, H)
-    drop : float array, shape (C,)
-    after : int array, shape (C,)
-        Index of the next vector of the same state.
-    head : int array, shape (S,)
-        Index of the first vector of each state.
-    used : int array, shape (1,)
-        Number of vectors.
+    person : int
+        Whom it concerns, or `NOBODY`.
+    reward : float array, shape (H,)
+        Minus the expected costs of the robot's and people's actions, without moving.
+    chance : float array, shape (L, H)
+    target : int array, shape (L,)
+        The number of the states of all tasks after each outcome.
+    moved : float array, shape (H, H)
+        The probability of each hidden state after each, as theta moves.
     """
 
-    row: Floats
-    drop: Floats
-    after: Ints
-    head: Ints
-    used: Ints
-
-    @classmethod
-    def of(cls, row: Floats, head: Ints) -> _Store:
-        """Return a store with one vector for each state, or none."""
-        return cls(row, np.zeros(len(row)), np.full(len(row), NONE), head, np.array([len(row)]))
-
-    def with_room(self) -> _Store:
-        """Return a store with room for the vectors of a trial."""
-        size, room = len(self.row), max(len(self.row), DEPTH)
-        if size - self.used[0] >= DEPTH:
-            return self
-        row = np.concatenate([self.row, np.empty((room, self.row.shape[1]))])
-        return self._replace(row=row, drop=np.resize(self.drop, size + room), after=np.resize(self.after, size + room))
+    person: int
+    reward: Floats
+    chance: Floats
+    target: Ints
+    moved: Floats
 
 
-# Loops, since array expressions take several times as long to compile.
-@numba.njit(cache=True)
-def _dot(a: Floats, b: Floats) -> float:
-    """Return a . b."""
-    total = 0.0
-    for h in range(len(a)):
-        total += a[h] * b[h]
-    return total
+class Act(NamedTuple):
+    """The outcomes of one person's next action: their targets, costs and chances, and how theta moves."""
+
+    target: Ints
+    cost: Floats
+    chance: Floats
+    moved: Floats
 
 
-@numba.njit(cache=True)
-def _fill(a: Floats, value: float) -> None:
-    """Set every entry of a."""
-    for h in range(len(a)):
-        a[h] = value
+def act(pomdp: AssistPOMDP, x: int, action: int) -> Act:
+    """Return the outcomes of a person in a state under an action of the robot."""
+    (betas, thetas), choices, place = pomdp.grid.shape, pomdp.model.choices, int(pomdp.afterstate[x, action])
+    moved = np.eye(thetas)
+    if pomdp.moves[x, action]:
+        low, weight = pomdp.low[x, action, 0], pomdp.weight[x, action, 0]
+        moved = (1 - weight)[:, None] * np.eye(thetas)[low] + weight[:, None] * np.eye(thetas)[low + 1]
+    moved = np.kron(np.eye(betas), moved)
+    if choices.goal[place]:  # finished, or finished by the robot's execution
+        return Act(np.array([place]), np.zeros(1), np.ones((1, len(moved))), moved)
+    slots = np.flatnonzero(choices.applicable[place])
+    chance = pomdp.likelihood(np.full_like(slots, x), np.full_like(slots, action), slots)
+    chance = np.broadcast_to(chance, (len(slots), betas, thetas)).reshape(len(slots), -1)
+    return Act(choices.targets[place, slots], choices.costs[place, slots], chance, moved)
 
 
-@numba.njit(cache=True)
-def _copy(a: Floats, b: Floats, mass: float) -> None:
-    """Set a to b / mass."""
-    for h in range(len(a)):
-        a[h] = b[h] / mass
+def deeds_of(people: list[AssistPOMDP]) -> list[list[Deed]]:
+    """Return what the robot may do in each state of all tasks; the last person's index varies fastest."""
+    sizes = [len(p.robot_actions) for p in people]
+    acts = cache(lambda k, x, action: act(people[k], x, action))
+
+    def at(tasks: tuple[int, ...]) -> Iterator[Deed]:
+        helping = [(k, r) for k, x in enumerate(tasks) for r in range(1, people[k].robot_actions[x])]
+        over = all(p.model.choices.goal[x] for p, x in zip(people, tasks, strict=True))
+        for k, action in helping if over else [(NOBODY, 0), *helping]:
+            each = [acts(j, x, action if j == k else 0) for j, x in enumerate(tasks)]
+            chance, moved = (reduce(np.kron, [getattr(one, name) for one in each]) for name in ("chance", "moved"))
+            cost = np.sum(np.meshgrid(*[one.cost for one in each], indexing="ij"), axis=0).ravel()
+            to = [one.ravel() for one in np.meshgrid(*[one.target for one in each], indexing="ij")]
+            charge = 0.0 if k == NOBODY else people[k].robot_costs[tasks[k], action]
+            yield Deed(k, -charge - cost @ chance, chance, np.ravel_multi_index(to, sizes), moved)
+
+    return [list(at(tasks)) for tasks in product(*map(range, sizes))]
 
 
-@numba.njit(cache=True)
-def _nowhere_below(a: Floats, b: Floats) -> bool:
-    """Return whether a >= b in every entry."""
-    for h in range(len(a)):  # noqa: SIM110  numba has no generators
-        if not a[h] >= b[h]:
-            return False
-    return True
+class Search:
+    """Bounds at all observed states (y, place): the states of all tasks, and where the robot is; K is its base."""
+
+    def __init__(self, deeds: list[list[Deed]], way: Floats, gamma: float) -> None:
+        self.deeds, self.way, self.gamma = deeds, way, gamma
+        self.seen, never = self.settled(None), self.settled(1)
+        self.plans = {place: never[place][None] for place in np.ndindex(never.shape[:2])}
+        self.points = {place: (np.empty((0, never.shape[2])), np.empty(0)) for place in self.plans}
+
+    def settled(self, most: int | None) -> Floats:
+        """Return values with everything observed, shape (Y, K + 1, H), of the first deeds: 1 is to never help.
+
+        Costs are nonnegative. From 0, every iterate is an upper bound; from the largest cost in every step, a lower
+        bound.
+        """
+        some = [(y, deed) for y, own in enumerate(self.deeds) for deed in own[:most]]
+        alive, first = np.unique([y for y, _ in some], return_index=True)
+        reward, places = np.array([deed.reward for _, deed in some]), np.arange(len(self.way))
+        size, data, rows, columns = reward.shape[1], [], [], []
+        for number, (_, deed) in enumerate(some):
+            now, then = np.nonzero(deed.moved)
+            data.append((deed.chance[:, now] * deed.moved[now, then]).ravel())
+            rows.append(np.tile(number * size + now, len(deed.target)))
+            columns.append((deed.target[:, None] * size + then).ravel())
+        shape = reward.size, len(self.deeds) * size
+        after = csr_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+        to = np.array([places if deed.person == NOBODY else np.full_like(places, deed.person) for _, deed in some])
+        gain = reward[:, :, None] - self.way[places, to][:, None]
+        value = np.zeros((len(self.deeds), size, len(places)))
+        value[alive] = 0.0 if most is None else reward.min() / (1 - self.gamma)
+        while True:
+            ahead = (after @ value.reshape(shape[1], -1)).reshape(gain.shape)
+            found = gain + self.gamma * np.take_along_axis(ahead, to[:, None], axis=2)
+            found = np.maximum.reduceat(found, first, axis=0)
+            change, value[alive] = np.abs(found - value[alive]).max(), found
+            if change <= SETTLED:
+                return value.transpose(0, 2, 1)
+
+    def lower(self, place: tuple[int, int], belief: Floats) -> tuple[float, Floats]:
+        """Return the largest product of an alpha vector and a belief, which may be unnormalised, and the vector."""
+        found = self.plans[place] @ belief
+        return float(found.max()), self.plans[place][found.argmax()]
+
+    def upper(self, place: tuple[int, int], belief: Floats) -> float:
+        """Return the sawtooth bound: the belief contains a multiple of each stored one, and that multiple's drop."""
+        rows, drops = self.points[place]
+        corner = float(self.seen[place] @ belief)
+        if not len(drops):
+            return corner
+        share = np.divide(belief, rows, out=np.full_like(rows, np.inf), where=rows > 0).min(axis=1)
+        return corner - float((share * drops).max())
+
+    def outcomes(self, place: tuple[int, int], deed: Deed, belief: Floats) -> tuple[float, list[Any]]:
+        """Return the reward of a deed, and each possible outcome's place and unnormalised belief."""
+        to = place[1] if deed.person == NOBODY else deed.person
+        after = (belief * deed.chance) @ deed.moved
+        ends = [((int(y), to), one) for y, one in zip(deed.target, after, strict=True) if one.any()]
+        return float(deed.reward @ belief - self.way[place[1], to]), ends
+
+    def trial(self, place: tuple[int, int], belief: Floats, gap: float, finest: float) -> int:
+        """Follow a path to where the bounds are close, then back up along it; return how much was stored."""
+        path = []
+        while True:
+            best, ends = -np.inf, []
+            for deed in self.deeds[place[0]]:
+                reward, after = self.outcomes(place, deed, belief)
+                value = reward + self.gamma * sum(self.upper(*one) for one in after)
+                if value > best:
+                    best, ends = value, after
+            path.append((place, belief, gap))
+            excess = [self.upper(*one) - self.lower(*one)[0] - gap / self.gamma * one[1].sum() for one in ends]
+            if max(excess, default=0.0) <= 0.0 or len(path) == 500:
+                break
+            place, belief = ends[int(np.argmax(excess))]
+            belief, gap = belief / belief.sum(), gap / self.gamma
+        return sum(self.backup(place, belief, finest * gap) for place, belief, gap in reversed(path))
+
+    def backup(self, place: tuple[int, int], belief: Floats, finest: float) -> int:
+        """Improve both bounds at a belief by a Bellman backup; return the number of improved bounds."""
+        if not self.deeds[place[0]]:
+            return 0
+        known, bound, found = self.lower(place, belief)[0], self.upper(place, belief), []
+        for deed in self.deeds[place[0]]:
+            reward, after = self.outcomes(place, deed, belief)
+            low, high = (sum(of(*one) for one in after) for of in (lambda *one: self.lower(*one)[0], self.upper))
+            found.append((reward + self.gamma * low, reward + self.gamma * high, deed))
+        stored, (low, _, deed), high = 0, max(found, key=itemgetter(0)), max(one for _, one, _ in found)
+        if low > known + finest:
+            to = place[1] if deed.person == NOBODY else deed.person
+            after = (belief * deed.chance) @ deed.moved
+            best = np.array([self.lower((int(y), to), one)[1] for y, one in zip(deed.target, after, strict=True)])
+            row = deed.reward - self.way[place[1], to] + self.gamma * (deed.chance * (best @ deed.moved.T)).sum(axis=0)
+            kept = self.plans[place][(self.plans[place] > row).any(axis=1)]
+            self.plans[place], stored = np.vstack([kept, row]), 1
+        if high < bound - finest:
+            rows, drops = self.points[place]
+            drop = float(self.seen[place] @ belief) - high
+            share = np.divide(rows, belief, out=np.full_like(rows, np.inf), where=belief > 0).min(axis=1)
+            kept = share * drop < drops  # the others say no more
+            self.points[place], stored = (np.vstack([rows[kept], belief]), np.append(drops[kept], drop)), stored + 1
+        return stored
 
 
-@numba.njit(cache=True)
-def _put(s: int, row: Floats, drop: float, store: _Store) -> None:
-    """Store a vector, and remove the vectors of its state that it dominates."""
-    before, i = NONE, store.head[s]
-    while i != NONE:
-        if drop > 0.0:  # in the upper bound
-            share = np.inf
-            for h in range(len(row)):
-                if row[h] > 0.0 and store.row[i, h] < share * row[h]:
-                    share = store.row[i, h] / row[h]
-            superfluous = share * drop >= store.drop[i]
-        else:
-            superfluous = _nowhere_below(row, store.row[i])
-        if not superfluous:
-            before = i
-        elif before == NONE:
-            store.head[s] = store.after[i]
-        else:
-            store.after[before] = store.after[i]
-        i = store.after[i]
-    i = store.used[0]
-    _copy(store.row[i], row, 1.0)
-    store.drop[i], store.after[i] = drop, store.head[s]
-    store.head[s], store.used[0] = i, i + 1
+def joint_bounds(pool: Pool, team: tuple[int, ...] | None = None, *, gap: float = 1e-3) -> JointBounds:
+    """Solve the POMDP of a team in which all people start together, until (upper - lower) / |lower| is at most `gap`.
 
-
-@numba.njit(cache=True)
-def _ends(d: int, s: int, m: JointProblem) -> tuple[int, float]:
-    """Return the robot's location after an action, and the cost of moving there."""
-    place = s % len(m.way)
-    to = place if m.person[d] == NOBODY else m.person[d]
-    return to, m.way[place, to]
-
-
-@numba.njit(cache=True)
-def _back(d: int, o: int, value: Floats, m: JointProblem, total: Floats) -> None:
-    """Add the discounted value of an outcome to `total`, shape (H,), where `value`, shape (H,), is that of its
-    target.
+    The robot moves to a person only to act there. Moving earlier has no advantage as long as the distances satisfy the
+    triangle inequality.
     """
-    for h in range(len(total)):
-        moved = (1.0 - m.weight[d, h]) * value[m.low[d, h]] + m.weight[d, h] * value[m.high[d, h]]
-        total[h] += m.gamma * m.chance[o, h] * moved
-
-
-@numba.njit(cache=True)
-def _sweep(value: Floats, helping: bool, m: JointProblem) -> float:
-    """Update all values with everything observed, shape (S, H), of the optimal policy or of never helping, once.
-
-    Returns the largest change.
-    """
-    places, hidden = len(m.way), value.shape[1]
-    best, total, change = np.empty(hidden), np.empty(hidden), 0.0
-    for s in range(len(value)):
-        y = s // places
-        _fill(best, 0.0 if m.first[y] == m.first[y + 1] else -np.inf)
-        for d in range(m.first[y], m.first[y + 1] if helping else min(m.first[y] + 1, m.first[y + 1])):
-            to, way = _ends(d, s, m)
-            for h in range(hidden):
-                total[h] = m.reward[d, h] - way
-            for o in range(m.begin[d], m.begin[d + 1]):
-                _back(d, o, value[m.target[o] * places + to], m, total)
-            for h in range(hidden):
-                best[h] = max(best[h], total[h])
-        for h in range(hidden):
-            change = max(change, abs(best[h] - value[s, h]))
-            value[s, h] = best[h]
-    return change
-
-
-@numba.njit(cache=True)
-def _lower(s: int, belief: Floats, plans: _Store) -> tuple[float, int]:
-    """Return the largest product of an alpha vector and a belief, which may be unnormalised, and the vector's index."""
-    best, which, i = -np.inf, NONE, plans.head[s]
-    while i != NONE:
-        product = 0.0
-        for h in range(len(belief)):
-            product += plans.row[i, h] * belief[h]
-        if product > best:
-            best, which = product, i
-        i = plans.after[i]
-    return best, which
-
-
-@numba.njit(cache=True)
-def _upper(s: int, belief: Floats, seen: Floats, points: _Store) -> float:
-    """Return the sawtooth bound at a belief, which may be unnormalised.
-
-    The belief contains a multiple of each stored belief, and the bound that multiple of its drop.
-    """
-    corner, most, i = 0.0, 0.0, points.head[s]
-    for h in range(len(belief)):
-        corner += seen[s, h] * belief[h]
-    while i != NONE:
-        # The share decreases from one hidden state to the next, until its drop does not exceed the largest one so far.
-        share = np.inf
-        for h in range(len(belief)):
-            if points.row[i, h] > 0.0 and belief[h] < share * points.row[i, h]:
-                share = belief[h] / points.row[i, h]
-                if share * points.drop[i] <= most:
-                    break
-        most = max(most, share * points.drop[i])
-        i = points.after[i]
-    return corner - most
-
-
-@numba.njit(cache=True)
-def _reach(d: int, o: int, belief: Floats, m: JointProblem, after: Floats) -> float:
-    """Fill `after` with the belief after an outcome, times the outcome's probability, which is returned."""
-    _fill(after, 0.0)
-    total = 0.0
-    for h in range(len(belief)):
-        joint = belief[h] * m.chance[o, h]
-        after[m.low[d, h]] += joint * (1.0 - m.weight[d, h])
-        after[m.high[d, h]] += joint * m.weight[d, h]
-        total += joint
-    return total
-
-
-@numba.njit(cache=True)
-def _trial(
-    path: Ints, beliefs: Floats, gap: float, finest: float, plans: _Store, points: _Store, seen: Floats, m: JointProblem
-) -> int:
-    """Follow a path from its first state and belief to where the bounds are close, then back up along it.
-
-    Returns the number of stored vectors.
-    """
-    places, after, depth = len(m.way), np.empty(beliefs.shape[1]), 0
-    deeds = 0
-    for y in range(len(m.first) - 1):
-        deeds = max(deeds, m.first[y + 1] - m.first[y])
-    q = np.empty((len(path), deeds))
+    team = tuple(range(len(pool.people))) if team is None else team
+    people, travel = [pool.policies[pool.model[person]].pomdp for person in team], pool.setting.travel(len(team))
+    assert travel.at_once
+    assert all(pomdp.frontier is None for pomdp in people)
+    search = Search(deeds_of(people), travel.c_move[0] * travel.distance, people[0].gamma)
+    belief = reduce(np.kron, [pomdp.prior.ravel() for pomdp in people])
+    tasks = np.ravel_multi_index([p.model.choices.initial for p in people], [len(p.robot_actions) for p in people])
+    root, finest = (int(tasks), len(people)), FINEST
+    never = search.lower(root, belief)[0]
     while True:
-        s, belief = path[depth], beliefs[depth]
-        y = s // places
-        best, deed = -np.inf, NONE
-        for d in range(m.first[y], m.first[y + 1]):
-            to, way = _ends(d, s, m)
-            value = _dot(m.reward[d], belief) - way
-            for o in range(m.begin[d], m.begin[d + 1]):
-                if _reach(d, o, belief, m, after) > 0.0:
-                    value += m.gamma * _upper(m.target[o] * places + to, after, seen, points)
-            q[depth, d - m.first[y]] = value
-            if value > best:
-                best, deed = value, d
-        to, _ = _ends(deed, s, m)
-        most = 0.0
-        for o in range(m.begin[deed], m.begin[deed + 1]):
-            chance = _reach(deed, o, belief, m, after)
-            if chance > 0.0:
-                target = m.target[o] * places + to
-                excess = _upper(target, after, seen, points) - _lower(target, after, plans)[0] - gap / m.gamma * chance
-                if excess > most:
-                    most, path[depth + 1] = excess, target
-                    _copy(beliefs[depth + 1], after, chance)
-        if most == 0.0 or depth == len(path) - 2:
+        lower, upper = search.lower(root, belief)[0], search.upper(root, belief)
+        if upper - lower <= gap * abs(lower):
             break
-        depth += 1
-        gap /= m.gamma
-    stored = 0
-    for i in range(depth, -1, -1):
-        stored += _backup(path[i], beliefs[i], q[i], finest * gap, plans, points, seen, m)
-        gap *= m.gamma
-    return stored
-
-
-@numba.njit(cache=True)
-def _backup(
-    s: int, belief: Floats, q: Floats, finest: float, plans: _Store, points: _Store, seen: Floats, m: JointProblem
-) -> int:
-    """Improve both bounds at a belief by a Bellman backup; return the number of improved bounds.
-
-    Actions whose upper bound `q` is below the lower bound are skipped.
-    """
-    stored = 0
-    places, y = len(m.way), s // len(m.way)
-    after, alpha = np.empty(len(belief)), np.empty(len(belief))
-    below, above, deed = -np.inf, -np.inf, NONE
-    known, bound = _lower(s, belief, plans)[0], _upper(s, belief, seen, points)
-    for d in range(m.first[y], m.first[y + 1]):
-        if q[d - m.first[y]] < known:
-            continue
-        to, way = _ends(d, s, m)
-        low = high = _dot(m.reward[d], belief) - way
-        for o in range(m.begin[d], m.begin[d + 1]):
-            if _reach(d, o, belief, m, after) > 0.0:
-                target = m.target[o] * places + to
-                low += m.gamma * _lower(target, after, plans)[0]
-                high += m.gamma * _upper(target, after, seen, points)
-        above = max(above, high)
-        if low > below:
-            below, deed = low, d
-    if below > known + finest:
-        to, way = _ends(deed, s, m)
-        for h in range(len(alpha)):
-            alpha[h] = m.reward[deed, h] - way
-        for o in range(m.begin[deed], m.begin[deed + 1]):
-            _reach(deed, o, belief, m, after)
-            target = m.target[o] * places + to
-            _back(deed, o, plans.row[_lower(target, after, plans)[1]], m, alpha)
-        _put(s, alpha, 0.0, plans)
-        stored += 1
-    if deed != NONE and above < bound - finest:
-        _put(s, belief, _dot(seen[s], belief) - above, points)
-        stored += 1
-    return stored
+        if not search.trial(root, belief, max(gap * abs(lower), AIM * (upper - lower)), finest):
+            finest /= 2
+            if finest < LEAST:  # the rest is rounding error
+                break
+    states, hidden = (len(people) + 1) * len(search.deeds), len(belief)
+    return JointBounds(lower - MARGIN * abs(lower), upper + MARGIN * abs(upper), never, states, hidden)

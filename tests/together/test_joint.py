@@ -20,7 +20,7 @@ from assist.person.qmdp import qmdp
 from assist.team import NOBODY, Pool
 from assist.team.simulate import simulate
 
-pytestmark = pytest.mark.slow  # the solver of `joint` takes long to compile; `test_bounds` has other optima
+pytestmark = pytest.mark.slow  # a problem of two people takes seconds; `test_bounds` has other optima
 
 COSTS = [(0.05, 0.1), (0.2, 0.3)]
 """Of a suggestion, and of moving."""
