@@ -34,24 +34,17 @@ from ..person.robots import EXECUTION, SUGGESTION
 from ..person.settings import Setting
 
 
-def needed(setting: Setting) -> Floats | None:
-    """Return what actions of each robot cost more, if prices of actions can lower a bound; otherwise None."""
-    return setting.fleet.extra if setting.fleet.costs_differ else None
-
-
 def paid(price: Floats, setting: Setting) -> float:
     """Return the discounted sum that all robots pay at most, in cost units.
 
     Parameters
     ----------
-    price : float array, shape (W,) or (3, W)
+    price : float array, shape (3, W)
         Prices of attention, and of a suggestion and of an execution, at each step.
     setting : Setting
     """
-    discount = setting.gamma ** np.arange(price.shape[-1])
-    attention = len(setting.robots) * float(np.atleast_2d(price)[0] @ discount)
-    if price.ndim == 1:
-        return attention
+    discount = setting.gamma ** np.arange(price.shape[1])
+    attention = len(setting.robots) * float(price[0] @ discount)
     return attention + float(np.maximum(*_worth(price, setting.fleet.extra)).clip(0).sum(axis=0) @ discount)
 
 

@@ -30,7 +30,7 @@ from ..person.search import SolverOptions
 from ..person.solver import solve
 from ..person.travel import Travel
 from ..team.pool import Pool
-from .action_prices import needed, paid
+from .action_prices import paid
 from .options import BoundOptions, Effort
 from .priced_steps import window_of
 from .prices import PersonBound, SubproblemGroup, groups_of, search
@@ -61,7 +61,7 @@ class Relaxation:
     groups: list[SubproblemGroup]
     parts: list[tuple[AttentionSubproblem, PersonBound]]
     price: Floats
-    """Prices of attention, shape (W,), or (3, W) with those of actions."""
+    """Prices of attention, of a suggestion and of an execution at each step, shape (3, W)."""
 
     def _all(self, each: Callable[[PersonBound], float]) -> float:
         return sum(group.count * each(solution) for group, (_, solution) in zip(self.groups, self.parts, strict=True))
@@ -180,25 +180,22 @@ class Computation:
         groups = self.groups(steps, False)
         return steps, groups, self.optimised(groups, steps, 0.4)
 
-    @cached_property
-    def extra(self) -> Floats | None:
-        """What each action of a robot costs more than the best robot's, shape (M, 3); None if actions have no prices.
-
-        They have prices on whole tasks, without sample paths, where the costs of robots differ.
-        """
-        return None if self.paths or self.needs_outer else needed(self.pool.setting)
+    @property
+    def prices_actions(self) -> bool:
+        """Whether actions have prices: on whole tasks, without sample paths, where the costs of robots differ."""
+        return not self.paths and not self.needs_outer and self.pool.setting.fleet.costs_differ
 
     def needs_prices(self, steps: int) -> bool:
         """Return whether prices of some steps can lower the bound; otherwise robots never have to choose."""
-        return steps > 0 and (self.pool.setting.fleet.scarce_for(len(self.team)) or self.extra is not None)
+        return steps > 0 and (self.pool.setting.fleet.scarce_for(len(self.team)) or self.prices_actions)
 
     def optimised(self, groups: list[SubproblemGroup], steps: int, share: float) -> Floats:
         """Return prices that are optimised until a share of the time for people's problems has passed."""
         if not self.needs_prices(steps):
-            return np.zeros(0)
+            return np.zeros((3, 0))
         return search(
             groups, steps, self.options, seed=self.seed, deadline=self.start + share * self.for_people, tell=self.tell,
-            robots=len(self.pool.setting.robots), extra=self.extra,
+            extra=self.pool.setting.fleet.extra, on_actions=self.prices_actions,
         )  # fmt: skip
 
     def relaxed(

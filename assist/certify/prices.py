@@ -87,13 +87,12 @@ class SubproblemGroup:
         return float((value * pomdp.prior).sum())
 
     def at(self, price: Floats) -> AttentionSubproblem:
-        """Return the subproblem at given prices, as in `AttentionSubproblem.priced`; the number of steps may differ."""
+        """Return the subproblem at given prices, shape (3, W); the number of steps may differ."""
         alone, entry, steps = self.visits.alone, self.visits.entry, self.visits.entry_steps
-        if price.ndim > 1:
-            return AttentionSubproblem.of(alone, entry, steps, price[0]).priced(price)
-        if self.problem.outer is None or not len(price):
+        if self.problem.outer is None or not price.size:
             return AttentionSubproblem.of(alone, entry, steps, price)
-        visits = AttentionSubproblem.of(alone, entry, steps, price, kept=likely(alone, len(price), self.problem.pairs))
+        kept = likely(alone, price.shape[1], self.problem.pairs)
+        visits = AttentionSubproblem.of(alone, entry, steps, price, kept=kept)
         return self.problem.outer.beyond(visits, self.tail)
 
     def _with_policy(self, price: Floats) -> tuple[AttentionSubproblem, Callable[[int, Ints], QMDP]]:
@@ -103,23 +102,22 @@ class SubproblemGroup:
             visits = self.visits.priced(price)
             best = self.best(visits)
             return visits, lambda *_: best
-        visits, values = between.visits, dict(between.priced(price))
+        visits, values, window = between.visits, dict(between.priced(price[0])), price.shape[1]
 
         def policy(step: int, states: Ints) -> QMDP:
-            own = float(price[step]) if step < len(price) else 0.0
-            return look_ahead(visits.at_price(own), values[min(step + 1, len(price))], np.unique(states))
+            own = float(price[0, step]) if step < window else 0.0
+            return look_ahead(visits.at_price(own), values[min(step + 1, window)], np.unique(states))
 
         return visits, policy
 
     def simulated(self, price: Floats, steps: int, episodes: int, seed: int) -> tuple[Floats, Floats]:
         """Simulate QMDP's policy in the subproblem at these prices, for `steps` steps.
 
-        Return the share of people who receive attention at each step with a price, and the return of each episode. If
-        actions have prices, the shares of those who receive a suggestion or an execution follow.
+        Return the shares of people who receive attention, a suggestion and an execution at each step with a price,
+        shape (3, W), and the return of each episode.
         """
         visits, policy = self._with_policy(price)
-        number = np.zeros_like(np.atleast_2d(price))
-        acted = visits.acted() if len(number) > 1 else ()
+        number, acted = np.zeros_like(price), visits.acted()
 
         def act(team: TeamState) -> TeamAction:
             x, belief = team.known_of(np.arange(len(team.x)))
@@ -138,7 +136,7 @@ class SubproblemGroup:
         setting = replace(self.pool.setting, max_steps=steps, robots=(robot,), c_ask=None, ask_error=0.0)
         pool = Pool(setting, (human,), (policy(0, np.arange(1)),), np.zeros(1, dtype=np.int64))
         run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
-        return number.reshape(price.shape) / episodes, run.discounted_return
+        return number / episodes, run.discounted_return
 
 
 def groups_of(
@@ -201,8 +199,8 @@ def search(
     seed: int,
     deadline: float,
     tell: Progress,
-    robots: int = 1,
-    extra: Floats | None = None,
+    extra: Floats,
+    on_actions: bool = False,
 ) -> Floats:
     """Optimise prices by a stochastic subgradient method, until all rounds are done or the deadline has passed.
 
@@ -218,18 +216,17 @@ def search(
         Time on the clock of `time.perf_counter()`.
     tell : callable
         Receives progress reports.
-    robots : int
-        Number of robots of the team.
-    extra : float array, shape (M, 3), optional
-        What each action of a robot costs more than the best robot's. If given, actions have prices, too
-        (`certify.action_prices`).
+    extra : float array, shape (M, 3)
+        What each action of a robot costs more than the best robot's.
+    on_actions : bool
+        Whether actions have prices, too (`certify.action_prices`); otherwise these are 0.
 
     Returns
     -------
-    float array, shape (W,), or (3, W) if actions have prices
+    float array, shape (3, W)
         Mean of the last half of the rounds, in cost units, up to the last price of at least 0.01.
     """
-    rounds, shape = options.price_rounds, (window,) if extra is None else (3, window)
+    rounds, shape, rows = options.price_rounds, (3, window), 3 if on_actions else 1
     price, past, later = np.zeros(shape), np.zeros(shape), list[Floats]()
     for round_ in range(rounds):
         tell("optimising prices", round_, rounds)
@@ -245,8 +242,9 @@ def search(
             # far enough. Gradients are relative to the number of busy robots. Otherwise the first rounds of a large
             # team, with dozens of busy robots, would make all later steps too short. A first step changes a price by at
             # most 0.5 cost units.
-            there = robots if extra is None else supply(price, extra)
+            there = supply(price, extra)
             slope = (busy - there) / np.maximum(np.maximum(busy, there), 1e-12)
+            slope[rows:] = 0.0
             past += slope**2
             price = np.maximum(0.0, price + 0.5 * slope / np.sqrt(past + 1e-12))
             if round_ >= rounds // 2:
@@ -254,8 +252,8 @@ def search(
             continue
         break  # the rest of an incomplete round is not used
     mean = sum((one / len(later) for one in later), np.zeros(shape)) if later else price
-    priced = np.atleast_2d(mean > 0.01).any(axis=0)
-    return mean[..., : int(np.flatnonzero(priced).max(initial=-1)) + 1]
+    priced = (mean > 0.01).any(axis=0)
+    return mean[:, : int(np.flatnonzero(priced).max(initial=-1)) + 1]
 
 
 def _require_room_for_all(

@@ -30,7 +30,7 @@ def relaxed_value(bound: TeamBound, *, episodes: int = 20_000, seed: Seed = 0) -
         raise ValueError("relaxed_value: expected an enumerated task, as bounds of a truncated one end at its frontier")
     episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
     gamma = bound.pool.setting.gamma
-    price = bound.price if bound.on_actions is None else np.vstack([bound.price, bound.on_actions])
+    price = np.vstack([bound.price, bound.on_actions])
     total, variance = paid(price, bound.pool.setting), 0.0
     groups = groups_of(bound.pool, bound.team, bound.travel, len(bound.price))
     for number, group in enumerate(groups):  # independent random numbers, so that variances add up

@@ -25,7 +25,7 @@ def recorder(run: Computation, groups: list[SubproblemGroup], price: Floats, tog
     In a team such beliefs are frequent. Where bounds are loose, the information relaxation divides them among known
     types, which tells the robot too much.
     """
-    priority = Priority.of(run.policies, run.travel, price if len(price) else None)
+    priority = Priority.of(run.policies, run.travel, price[0] if price.size else None)
     meeting = BeliefRecorder(priority, len(run.team), together + run.options.relaxation.free_steps)
     each = math.ceil(run.options.belief_episodes / max(len(group.places) for group in groups))
     returns(run.pool, meeting, run.team, run.travel, episodes=each, seed=run.seed)
@@ -37,11 +37,11 @@ def without_prices(run: Computation, relaxed: Relaxation, recorder: BeliefRecord
 
     Without prices, states need no step, so that the subproblems are much smaller.
     """
-    if relaxed.done or not len(relaxed.price):
+    if relaxed.done or not relaxed.price.size:
         return relaxed
     groups, begun = run.groups(0, True), time.perf_counter()
     until = begun + 0.3 * (run.start + run.limit - begun)
-    free = run.relaxed(groups, relaxed.price[:0], until, recorder)
+    free = run.relaxed(groups, relaxed.price[:, :0], until, recorder)
     return min(relaxed, free, key=lambda one: one.upper)
 
 
@@ -55,7 +55,7 @@ def sampled(run: Computation, relaxed: Relaxation, together: int) -> SampledBoun
 
     with suppress(TimeoutError):
         team = InformationRelaxation(
-            _belief_nodes(relaxed), relaxed.price, together, left, run.workers, run.options.relaxation,
+            _belief_nodes(relaxed), relaxed.price[0], together, left, run.workers, run.options.relaxation,
             len(run.pool.setting.robots),
         )  # fmt: skip
         return team.sampled(run.paths, run.seed)
@@ -65,7 +65,7 @@ def sampled(run: Computation, relaxed: Relaxation, together: int) -> SampledBoun
 def _belief_nodes(relaxed: Relaxation) -> list[BeliefNodes]:
     """Return the belief nodes of each person; people of one group share them."""
     # The outer relaxation neglects travel time, so that it does not apply if travel takes time.
-    free = not len(relaxed.price)
+    free = not relaxed.price.size
     outers = [group.problem.outer if free and not group.visits.entry_steps else None for group in relaxed.groups]
     parts = [(visits, solution) for visits, solution in relaxed.parts if isinstance(solution, Solution)]
     belief_nodes = [BeliefNodes(*part, outer) for part, outer in zip(parts, outers, strict=True)]

@@ -50,8 +50,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Unpack
 
-import numpy as np
-
 from planner.system.progress import Wanted, shows_progress
 from planner.system.results import Result
 
@@ -94,8 +92,8 @@ class TeamBound(Result):
     seconds : float
     proven : float
         The bound that holds with certainty.
-    on_actions : float array, shape (2, W), or None
-        Additional prices of a suggestion and of an execution at these steps, if the robots differ.
+    on_actions : float array, shape (2, W)
+        Additional prices of a suggestion and of an execution at these steps; 0 unless the robots differ.
     sampled : SampledBound or None
         The mean over sample paths; None if none were requested, or if there was too little time. With fewer than
         `confidence.FEWEST` paths it is only reported, and `upper` is `proven`.
@@ -110,8 +108,8 @@ class TeamBound(Result):
     price: Floats
     seconds: float
     proven: float
+    on_actions: Floats
     sampled: SampledBound | None = None
-    on_actions: Floats | None = None
 
     def __repr__(self) -> str:
         how = "prices of attention" if len(self.price) else "free attention"
@@ -215,10 +213,9 @@ def upper_bound(
     except KeyboardInterrupt as error:
         raise InterruptedBound(relaxed.upper, len(members), len(members), error) from error
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper
-    rows = np.atleast_2d(relaxed.price)
     return TeamBound(
-        pool, members, run.travel, upper, relaxed.slack, relaxed.upper_seen, rows[0],
-        time.perf_counter() - run.start, relaxed.upper, sampled, rows[1:] if len(rows) > 1 else None,
+        pool, members, run.travel, upper, relaxed.slack, relaxed.upper_seen, relaxed.price[0],
+        time.perf_counter() - run.start, relaxed.upper, relaxed.price[1:], sampled,
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ def truncated_prices(run: Computation, window: int | None) -> tuple[int, list[Su
     groups, steps = _with_outer(run, most if priced and len(run.team) > 1 else 0, window is not None)
     # The outer relaxations have had 30 % of the time, and the solver needs more of the rest.
     price = run.optimised(groups, steps, 0.3 + 0.25)
-    if run.needs_prices(steps) and not len(price):
+    if run.needs_prices(steps) and not price.size:
         groups = run.groups(0, run.paths > 0)
     return together, groups, price
 

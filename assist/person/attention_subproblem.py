@@ -47,8 +47,8 @@ class AttentionSubproblem:
         Number of steps of coming.
     layout : TimeExpansion
         Meaning of each state.
-    on_actions : float array, shape (2, W), or None
-        Additional prices of a suggestion and of an execution at these steps, in cost units; None if there are none.
+    on_actions : float array, shape (2, W)
+        Additional prices of a suggestion and of an execution at these steps, in cost units.
     """
 
     pomdp: AssistPOMDP
@@ -57,7 +57,7 @@ class AttentionSubproblem:
     entry: float
     entry_steps: int
     layout: TimeExpansion
-    on_actions: Floats | None = None
+    on_actions: Floats
 
     @classmethod
     def of(
@@ -77,8 +77,10 @@ class AttentionSubproblem:
         Parameters
         ----------
         alone : AssistPOMDP
-        entry, entry_steps, price
+        entry, entry_steps
             As in the attributes of the class.
+        price : float array, shape (W,) or (3, W)
+            Prices of attention, and the additional ones of a suggestion and of an execution, if there are any.
         longest : int, optional
             Number of positions on the way, if more than `entry_steps`; the additional ones are not reachable within the
             subproblem.
@@ -91,9 +93,9 @@ class AttentionSubproblem:
         LimitError
             The states of a long way would exceed the available memory.
         """
-        price = np.array(price, dtype=float)
+        price = with_actions(price)
         positions = 2 + max(entry_steps, longest or 0)
-        layout = TimeExpansion.of(alone, positions, len(price), kept)
+        layout = TimeExpansion.of(alone, positions, price.shape[1], kept)
         _require_memory(alone, layout)
         moves = RobotMoves.of(positions, alone.suggested.shape[1], entry_steps)
 
@@ -119,27 +121,22 @@ class AttentionSubproblem:
             followed_low=None if alone.followed_low is None else alone.followed_low[row, meant],
             followed_weight=None if alone.followed_weight is None else alone.followed_weight[row, meant],
             order=np.stack([np.lexsort((h, -layout.step)) for h in choices.goals.h]),
-            frontier=frontier_of(alone, layout, price, entry),
+            frontier=frontier_of(alone, layout, price[0], entry),
         )
-        free = cls(pomdp, alone, np.zeros(len(price)), entry, entry_steps, layout)
-        return free.priced(price) if len(price) else free
+        nothing = np.zeros_like(price)
+        free = cls(pomdp, alone, nothing[0], entry, entry_steps, layout, nothing[1:])
+        return free.priced(price) if price.size else free
 
     def priced(self, price: Floats) -> AttentionSubproblem:
-        """Return the same subproblem with other prices of the same steps.
-
-        `price` has the shape (W,), or (3, W) with additional prices of a suggestion and of an execution.
-        """
-        rows, nothing = np.atleast_2d(price), np.zeros((2, len(self.price)))
-        if len(rows) == 1 and self.on_actions is not None:
-            rows = np.vstack([rows, nothing])
-        before = np.vstack([self.price, nothing if self.on_actions is None else self.on_actions])[: len(rows)]
-        more = np.pad(rows - before, ((0, 0), (0, 1)))[:, self.layout.step]
-        costs = self.pomdp.robot_costs + np.where(self.attended(), more[0][:, None], 0.0)
-        for change, done in zip(more[1:], self.acted() if len(rows) > 1 else (), strict=True):
-            costs += np.where(done, change[:, None], 0.0)
-        frontier = frontier_of(self.alone, self.layout, rows[0], self.entry)
-        pomdp = replace(self.pomdp, robot_costs=costs, frontier=frontier)
-        return replace(self, pomdp=pomdp, price=rows[0], on_actions=rows[1:] if len(rows) > 1 else None)
+        """Return the same subproblem with other prices of the same steps; `price` is as in `of`."""
+        price, costs = with_actions(price), self.pomdp.robot_costs
+        more = np.pad(price - np.vstack([self.price, self.on_actions]), ((0, 0), (0, 1)))[:, self.layout.step]
+        for change, done in zip(more, (self.attended(), *self.acted()), strict=True):
+            costs = costs + np.where(done, change[:, None], 0.0)
+        frontier = frontier_of(self.alone, self.layout, price[0], self.entry)
+        return replace(
+            self, pomdp=replace(self.pomdp, robot_costs=costs, frontier=frontier), price=price[0], on_actions=price[1:]
+        )
 
     def at_price(self, price: float) -> AssistPOMDP:
         """Return the problem with an additional price that is the same at all steps."""
@@ -162,6 +159,12 @@ class AttentionSubproblem:
     def states(self, step: int, position: int) -> Ints:
         """Return the numbers of the states, shape (n,), of a step and a position; -1 where one does not exist."""
         return self.layout.number(step, position, np.arange(self.layout.states))
+
+
+def with_actions(price: ArrayLike) -> Floats:
+    """Return prices of attention and of actions, shape (3, W); those of actions are 0 unless given."""
+    given = np.atleast_2d(np.array(price, dtype=float))
+    return np.vstack([given, np.zeros((3 - len(given), given.shape[1]))])
 
 
 def backwards(visits: AttentionSubproblem, tail: Floats) -> QMDP:

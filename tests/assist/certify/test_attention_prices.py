@@ -16,6 +16,7 @@ from assist.certify.priced_steps import window_of
 from assist.certify.prices import SubproblemGroup, groups_of
 from assist.people import Choices, Population
 from assist.person import AttentionSubproblem, Setting
+from assist.person.attention_subproblem import with_actions
 from assist.person.qmdp import qmdp
 from assist.person.truncated_bound import likely
 from assist.team.pool import Pool
@@ -49,32 +50,32 @@ def test_attention_to_people_who_do_what_they_are_told() -> None:
         group = only_group(pool, 7, time)
         assert (group.places, group.count, group.problem.outer, group.problem.between) == ((0, 1), 2, None, None)
         assert group.visits.price.tolist() == [0] * 7
-        number, found = group.simulated(np.zeros(7), 8, 5, 0)
-        assert number.tolist() == attended
+        number, found = group.simulated(with_actions(np.zeros(7)), 8, 5, 0)
+        assert number[0].tolist() == attended
         paid = 0.02 * gamma[attended.index(1)] + 0.01 * (gamma[3] + gamma[4])
         np.testing.assert_allclose(found, [-(cost @ gamma[:5]) - paid] * 5)
-        shorter = group.at(np.array([0.25, 0.5]))
+        shorter = group.at(with_actions(np.array([0.25, 0.5])))
         assert shorter.price.tolist() == [0.25, 0.5]
         assert shorter.layout.step.max() == 2
         # A price is paid at its step: here the suggestions are worth it, and the way is not the cheaper for it.
         price = np.array([0.0, 0.0, 0.0, 0.25, 0.5, 0.0, 0.0])
-        number, dearer = group.simulated(price, 8, 5, 0)
-        assert number.tolist() == attended
+        number, dearer = group.simulated(with_actions(price), 8, 5, 0)
+        assert number[0].tolist() == attended
         np.testing.assert_allclose(found - dearer, 0.25 * gamma[3] + 0.5 * gamma[4])
-        assert group.simulated(price, 4, 5, 0)[1] == pytest.approx(
+        assert group.simulated(with_actions(price), 4, 5, 0)[1] == pytest.approx(
             -gamma[:4].sum() - paid + 0.01 * gamma[4] - 0.25 * gamma[3]
         )
         free = qmdp(AttentionSubproblem.of(pool.policies[0].pomdp, 0.02, int(time)).pomdp, tolerance=1e-12).value_mdp
         np.testing.assert_allclose(group.tail, free, atol=1e-5)
         assert (group.tail >= free - 1e-9).all()
-        left = group.simulated(np.array([0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0]), 8, 5, 0)[0]
-        assert left.tolist()[:5] == [*attended[:4], 0]  # the robot leaves before the price
-    assert group.simulated(np.full(7, 9.0), 3, 5, 0)[0].tolist() == [0] * 7
+        left = group.simulated(with_actions(np.array([0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0])), 8, 5, 0)[0]
+        assert left[0].tolist()[:5] == [*attended[:4], 0]  # the robot leaves before the price
+    assert group.simulated(with_actions(np.full(7, 9.0)), 3, 5, 0)[0][0].tolist() == [0] * 7
 
 
 def test_episodes_differ_by_their_seed() -> None:
     group = only_group(pool_of([(2, 1, 1), (1, 0, 1), (1, 2, 1)], 2, population=Population(beta=(0.1, 0.5))), 3)
-    one, same, other = (group.simulated(np.full(3, 0.1), 9, 20, seed)[1].tolist() for seed in (1, 1, 2))
+    one, same, other = (group.simulated(with_actions(np.full(3, 0.1)), 9, 20, seed)[1].tolist() for seed in (1, 1, 2))
     assert one == same != other
     assert len(one) == 20
 
@@ -98,13 +99,13 @@ def test_prices_on_a_truncated_task(truncated: SubproblemGroup) -> None:
     assert (group.count, len(group.visits.price)) == (2, 0)
     assert group.problem.outer is not None
     group = replace(group, problem=replace(group.problem, pairs=3))
-    visits = group.at(price)
+    visits = group.at(with_actions(price))
     kept = likely(group.visits.alone, 3, 3)
     plain = AttentionSubproblem.of(group.visits.alone, group.visits.entry, group.visits.entry_steps, price, kept=kept)
-    for found, same in ((visits, plain), (group.at(np.zeros(0)), group.visits)):
+    for found, same in ((visits, plain), (group.at(with_actions(np.zeros(0))), group.visits)):
         np.testing.assert_array_equal(found.layout.x, same.layout.x)
         np.testing.assert_array_equal(found.pomdp.robot_costs, same.pomdp.robot_costs)
-    free = group.at(np.zeros(0)).pomdp.frontier
+    free = group.at(with_actions(np.zeros(0))).pomdp.frontier
     assert free is not None
     assert group.visits.pomdp.frontier is not None
     np.testing.assert_array_equal(free.upper, group.visits.pomdp.frontier.upper)
@@ -118,7 +119,7 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemGr
     """It does so at the price of its step, to values with the prices of all later steps."""
     group, price = truncated, np.array([1.0, 0.5, 0.2])
     assert group.problem.between is not None
-    visits, policy = group._with_policy(price)
+    visits, policy = group._with_policy(with_actions(price))
     assert visits is group.problem.between.visits
     after, pomdp = [group.problem.between.value], visits.pomdp
     for step in (2, 1, 0):
@@ -137,9 +138,9 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemGr
         np.testing.assert_allclose(best, q.max(axis=1), atol=1e-9)
         found = policy(step, x).q_values(x, belief)
         np.testing.assert_allclose(found[np.isfinite(q)], q[np.isfinite(q)], atol=1e-9)
-    number, _ = group.simulated(np.array([9.0, 9.0, 0.0]), 8, 50, 0)
-    assert number[:2].tolist() == [0, 0]
-    assert 0 < number[2] <= 1
+    number, _ = group.simulated(with_actions(np.array([9.0, 9.0, 0.0])), 8, 50, 0)
+    assert number[0, :2].tolist() == [0, 0]
+    assert 0 < number[0, 2] <= 1
 
 
 def _q(pomdp: Any, x: int, action: int, then: np.ndarray) -> float:

@@ -31,6 +31,7 @@ from assist.certify.prices import SubproblemGroup, groups_of, search
 from assist.certify.relaxed_value import relaxed_value
 from assist.people import Choices, HumanModel, Population
 from assist.person import AssistPOMDP, AttentionSubproblem, OfRobots, Robot, Setting, solve
+from assist.person.attention_subproblem import with_actions
 from assist.person.memory_needed import policy_bytes
 from assist.person.time_expansion import AWAY, HERE, TimeExpansion
 from assist.team import NoAssistance, Pool, TeamAction, TeamState
@@ -173,10 +174,12 @@ def looked_for(
     clock = SimpleNamespace(perf_counter=lambda: groups[0].asked)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prices, "time", clock)
-        return search(
+        found = search(
             list(groups), 2, BoundOptions(most, 100), seed=3, deadline=rounds - 0.5,  # type: ignore[arg-type]
-            tell=lambda _, done, __: tell.append(done),
+            tell=lambda _, done, __: tell.append(done), extra=np.zeros((1, 3)),
         )  # fmt: skip
+    assert not found[1:].any()  # actions have no prices where robots are alike
+    return found[0]
 
 
 # With two robots busy where one is there, the slope is (2 - 1) / 2 in every round, and the step after n of them is
@@ -228,10 +231,10 @@ def test_people_at_the_edges_of_prices(strangers: Pool) -> None:
     always = group.tail[layout.position * layout.states + layout.x]
     np.testing.assert_allclose(found.value_mdp, always, atol=1e-3)
     assert np.ptp(always) > 1
-    shares, values = group.simulated(np.full(3, 1e6), 4, 50, 0)
-    assert shares.tolist() == [0, 0, 0]
+    shares, values = group.simulated(with_actions(np.full(3, 1e6)), 4, 50, 0)
+    assert shares[0].tolist() == [0, 0, 0]
     assert (values > -100).all()
-    assert group.simulated(np.zeros(3), 4, 50, 0)[0][0] > 0
+    assert group.simulated(with_actions(np.zeros(3)), 4, 50, 0)[0][0, 0] > 0
 
 
 def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Choices) -> None:
@@ -364,7 +367,10 @@ def test_a_robot_for_each_person_of_a_kind(pool: Pool) -> None:
     mean, error = relaxed_value(found, episodes=400, seed=5)
     groups: list[SubproblemGroup] = groups_of(pool, found.team, found.travel, len(found.price))
     assert [group.count for group in groups] == [2, 1]
-    values = [group.simulated(found.price, horizon(0.5), 400, 5 + number)[1] for number, group in enumerate(groups)]
+    values = [
+        group.simulated(with_actions(found.price), horizon(0.5), 400, 5 + number)[1]
+        for number, group in enumerate(groups)
+    ]
     paid = sum(price * 0.5**step for step, price in enumerate(found.price))
     assert mean == pytest.approx(2 * values[0].mean() + values[1].mean() + paid)
     assert error == pytest.approx(math.sqrt((4 * values[0].var(ddof=1) + values[1].var(ddof=1)) / 400))
@@ -376,7 +382,9 @@ def test_a_robot_for_each_person_of_a_kind(pool: Pool) -> None:
 
 def bound_at(pool: Pool, team: tuple[int, ...], price: list[float]) -> TeamBound:
     """A bound with these prices, whose other figures do not matter."""
-    return TeamBound(pool, team, pool.setting.travel(len(team)), 0.0, 0.0, 0.0, np.array(price), 0.0, 0.0)
+    return TeamBound(
+        pool, team, pool.setting.travel(len(team)), 0.0, 0.0, 0.0, np.array(price), 0.0, 0.0, np.zeros((2, len(price)))
+    )
 
 
 @pytest.mark.parametrize("robots", [1, 2])
@@ -385,7 +393,10 @@ def test_each_robot_of_the_relaxed_problem_is_paid_the_discounted_prices(pool: P
     several = replace(pool, setting=replace(pool.setting, robots=robots))
     mean, _ = relaxed_value(bound_at(several, (0, 1), [*price]), episodes=100, seed=5)
     groups = groups_of(several, (0, 1), SETTING.travel(2), 3)
-    values = [group.simulated(price, horizon(0.5), 100, 5 + number)[1].mean() for number, group in enumerate(groups)]
+    values = [
+        group.simulated(with_actions(price), horizon(0.5), 100, 5 + number)[1].mean()
+        for number, group in enumerate(groups)
+    ]
     assert mean == pytest.approx(sum(values) + robots * (0.3 + 0.2 * 0.5 + 0.1 * 0.25))
 
 

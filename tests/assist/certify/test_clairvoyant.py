@@ -34,6 +34,7 @@ from assist.certify.information_relaxation.sampled_bound import InformationRelax
 from assist.certify.prices import groups_of
 from assist.cli.output.person_bounds import show_samples
 from assist.person import Setting, solve
+from assist.person.attention_subproblem import with_actions
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
 
@@ -49,7 +50,7 @@ def made(
     lattices = []
     with_outer = pool.policies[0].problem.region is not None
     for group in groups_of(pool, (0, 1), pool.setting.travel(2), len(price), with_outer=with_outer):
-        visits = group.at(price)
+        visits = group.at(with_actions(price))
         lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=group.best(visits))))
     people = [*lattices, lattices[0]] if robots > 1 else lattices
     return InformationRelaxation(people, price, workers=workers, options=options, robots=robots)

@@ -163,7 +163,7 @@ def test_actions_have_prices_of_their_own(
     alone = problem(drawn, execute=execute)
     first, second = np.random.default_rng(seed).uniform(0.1, 2.0, (2, 3, length))
     free = AttentionSubproblem.of(alone, 0.4, steps, [0.5] * length)
-    assert free.on_actions is None
+    assert not free.on_actions.any()
     one = free.priced(first)
     other = one.priced(second)
     back = other.priced(first[0])

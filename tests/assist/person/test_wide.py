@@ -20,6 +20,7 @@ from assist.certify.team_bound import TeamBound, upper_bound
 from assist.live import Assistant
 from assist.people.ranges import Population
 from assist.person import person_problem, shared_task, truncated_bound, truncated_policy
+from assist.person.attention_subproblem import with_actions
 from assist.person.frontier_bounds import never_erring
 from assist.person.observation_model import ObservationModel
 from assist.person.pomdp import AssistPOMDP
@@ -334,11 +335,11 @@ def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> Non
     for pool in pools:
         groups = groups_of(pool, team, setting.travel(3), len(price), with_outer=True)
         assert all((group.problem.between is not None) == (pool is pools[0]) for group in groups)
-        parts = [(visits := group.at(price), group.best(visits)) for group in groups]
+        parts = [(visits := group.at(with_actions(price)), group.best(visits)) for group in groups]
         solved = [solve(visits.pomdp, gap=1e-4, best=best) for visits, best in parts]
         assert all(one.lower <= one.upper for one in solved)
         values.append([one.upper for one in solved])
-        busy = sum(group.simulated(price, len(price), 4000, 1)[0] for group in groups)
+        busy = sum(group.simulated(with_actions(price), len(price), 4000, 1)[0][0] for group in groups)
         values.append(busy)
     part, part_busy, whole, busy = values
     assert (np.array(part) > np.array(whole) - 1e-3).all()
@@ -356,7 +357,7 @@ def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPa
     setting, team = Setting(c_suggest=0.1, c_move=0.2), (0, 1)
     pool = Pool.sample(tiny, 2, seed=0, setting=setting, states=5)
     groups = groups_of(pool, team, setting.travel(2), 0, with_outer=True)
-    parts = [(visits := group.at(np.zeros(0)), solve(visits.pomdp, gap=1e-3)) for group in groups]
+    parts = [(visits := group.at(np.zeros((3, 0))), solve(visits.pomdp, gap=1e-3)) for group in groups]
     means, steps = [], []
     for outers in ([None, None], [group.problem.outer for group in groups]):
         lattices = [BeliefNodes(*part, outer) for part, outer in zip(parts, outers, strict=True)]

@@ -175,7 +175,7 @@ def test_samples_are_not_below_the_joint_optimum(case: tuple[int, int]) -> None:
     prior[0, len(pomdp.grid.theta) // 2] = 1.0
     pool = replace(pool, policies=(qmdp(replace(pomdp, prior=prior)),))
     (group,) = groups_of(pool, (0, 1, 2), setting.travel(3), 0)
-    best = coupled.joint_optimum(as_agents(group.at(np.zeros(0)), 3), robots)
+    best = coupled.joint_optimum(as_agents(group.at(np.zeros((3, 0))), 3), robots)
     found = upper_bound(pool, window=window, gap=1e-6, paths=40, options=BoundOptions(10, 200))
     assert found.sampled is not None
     assert found.sampled.mean + 3 * found.sampled.stderr >= best.value
