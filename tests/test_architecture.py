@@ -47,7 +47,7 @@ ROOMS = {
         truncated_bound growing_problem leaf_estimates truncated_policy person_problem""",
     "assist.team": """policy_names by_policy state action_check assignment schedule people_at_work seen baselines
         attention attention_never outlook questions robots_at_work trust_of_people model_group team_tasks engine
-        priority whittle rollout policies affordable drawn solving union matching pool common_random_numbers
+        priority whittle rollout policies affordable drawn solving matching pool common_random_numbers
         goal_knowledge trace episodes beginning requested traced_run run memory_trial simulate
         belief_trace illustration""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion path_search sampled_bound",

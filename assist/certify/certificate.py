@@ -161,20 +161,8 @@ def returns(
 ) -> Floats:
     """Simulate a policy in the robot's model; return a lower bound on each episode's discounted return, shape (N,).
 
-    The largest possible costs after the end of an episode are subtracted.
-
-    Parameters
-    ----------
-    pool : Pool
-    policy : TeamPolicy or str
-    team : tuple of int
-        Person at each place.
-    travel : Travel
-    episodes : int
-        Number of episodes.
-    seed : int
-    time_limit : float, optional
-        Seconds after which no more episodes begin; about a thousand are simulated in any case.
+    The largest possible costs after the end of an episode are subtracted. `team` has the person at each place; other
+    parameters are as in `TeamBound.certify`.
     """
     run = Simulated(pool, policy, team, travel, seed=seed)
     simulated_until([run], episodes, None if time_limit is None else time.perf_counter() + time_limit)

@@ -30,29 +30,9 @@ SHOWN = {
 
 @dataclass(frozen=True)
 class Episode:
-    """The record of one episode.
+    """The record of one episode: an entry of each array of `Episodes`.
 
-    Attributes
-    ----------
-    policy : str
-    episode : int
-    people : tuple of str
-        Names of the team's people; the next tuples have one entry per person.
-    beta, theta, sigma : tuple of float
-        True parameters; theta is that at the beginning.
-    actions : tuple of int
-        Number of actions until the goal or the end of the episode.
-    costs : tuple of float
-        Costs of these actions, in cost units.
-    finished : tuple of bool
-    helped : tuple of int
-        Number of suggestions to each person and of actions executed for them.
-    executed : tuple of int
-        Number of these that are executions.
-    interventions, moves, steps : int
-        Number of suggestions and executions, of changes of place, and of steps until all had finished.
-    discounted_return : float
-        Sum over steps of gamma^t times the reward, in cost units.
+    What concerns people is a tuple with one entry per person; `people` are their names.
     """
 
     policy: str
@@ -246,11 +226,8 @@ class Summary(Result):
 
     def records(self) -> list[dict[str, Any]]:
         """Return one row: the policy, the number of episodes, each mean with its standard error, and `cut_off`."""
-        means = {
-            name: f"{mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
-            for name in ("actions", "costs", "interventions", "suggestions", "executions", "moves", "discounted_return")
-            for mean, error in [getattr(self, name)]
-        }
+        names = "actions", "costs", "interventions", "suggestions", "executions", "moves", "discounted_return"
+        means = {name: _with_error(*getattr(self, name)) for name in names}
         return [{"policy": self.policy, "episodes": self.episodes, **means, "cut_off": self.cut_off}]
 
     def record(self) -> dict[str, Any]:
@@ -264,7 +241,7 @@ class Summary(Result):
 
     def __str__(self) -> str:
         shown = [
-            f"{what} {mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
+            f"{what} {_with_error(mean, error)}"
             for what, (mean, error) in (
                 ("actions per person", self.actions), ("cost per person", self.costs),
                 ("suggestions", self.suggestions),
@@ -284,6 +261,11 @@ def with_cost(found: Episodes, fleet: Fleet, policy: TeamPolicy) -> Episodes:
     if not weighs_costs or found.interventions.any() or not found.actions.any():
         return found
     return replace(found, c_suggest_too_high=costs.pop())
+
+
+def _with_error(mean: float, error: float) -> str:
+    """Return a mean as text, with its standard error if it is known."""
+    return f"{mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
 
 
 def _mean_and_error(values: NDArray[Any]) -> tuple[float, float]:

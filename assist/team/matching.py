@@ -1,31 +1,32 @@
-"""Whether people, their policies and a setting belong together in a pool."""
+"""What has to match in a pool, and in pools that are joined."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..people.human import Human
 from ..people.misconception import Misconception
-from ..person.policy import Policy
+
+P = TypeVar("P", bound=Any)
+"""The type of a `Pool`."""
 
 
-def require_matching(
-    people: Sequence[Human], names: Sequence[str], policies: Sequence[Policy], model: NDArray[np.int64], gamma: float
-) -> None:
-    """Check the parts of a pool; `gamma` is that of its setting.
+def require_matching(pool: Any) -> None:
+    """Check that the parts of a pool belong together.
 
     Raises
     ------
     ValueError
         The parts do not match: numbers of people, names, grids, goals, discount factors, or numbers of states.
     """
+    people, policies, model, gamma = pool.people, pool.policies, pool.model, pool.setting.gamma
     if not people or model.shape != (len(people),):
         raise ValueError(f"{len(people)} people, model {model.shape}: expected one entry for each person")
-    twice = [name for name, count in Counter(names).items() if count > 1]
+    twice = [name for name, count in Counter(pool.names).items() if count > 1]
     if twice:
         raise ValueError(f"two people are called {twice[0]}; expected a name for each")
     if model.min() < 0 or model.max() >= len(policies):
@@ -42,9 +43,47 @@ def require_matching(
     for number, human in enumerate(people):
         if isinstance(human.h, Misconception):
             continue
-        choices = policies[model[number]].pomdp.model.choices
-        perceived = human.expects(choices)
-        if len(perceived) != len(choices):
+        choices = pool.choices(number)
+        perceived = len(human.expects(choices))
+        if perceived != len(choices):
             raise ValueError(
-                f"person {number}: perceived costs-to-go of {len(perceived)} states, and the task has {len(choices)}"
+                f"person {number}: perceived costs-to-go of {perceived} states, and the task has {len(choices)}"
             )
+
+
+def union(pools: Sequence[P]) -> P:
+    """Return the union of pools with different tasks, models or costs of suggestions.
+
+    The setting is that of the first pool. Fields that concern one person only are part of the policies and may
+    differ. Fields of the whole team must be the same: `gamma`, `c_move`, `travel_time`, `max_steps`, `robots`, people's
+    trust rule, what the robot observes, what questions cost, and what actions of each robot cost more than of the best.
+
+    Raises
+    ------
+    ValueError
+        There is no pool, or these fields differ.
+    """
+    if not pools:
+        raise ValueError("joined: expected one pool or more")
+    shared = ("gamma", "c_move", "travel_time", "max_steps", "robots", "observation", "c_ask", "ask_error")
+    for name in ("trust", *shared):
+        values = [getattr(pool.setting, name) for pool in pools]
+        if name == "trust":  # the paper's rule has its rate and unit from each person's model
+            values = ["paper" if value is None else value for value in values]
+        if any(value != values[0] for value in values):
+            raise ValueError(f"joined: {name} is {values} in these pools; expected the same in all")
+    extra = [pool.setting.fleet.extra for pool in pools]
+    if any((one != extra[0]).any() for one in extra):
+        raise ValueError(
+            f"joined: actions of each robot cost more than of the best one by {[one.tolist() for one in extra]} in "
+            "these pools; expected the same in all"
+        )
+    offsets = np.cumsum([0, *(len(pool.policies) for pool in pools[:-1])])
+    return replace(
+        pools[0],
+        people=tuple(human for pool in pools for human in pool.people),
+        policies=tuple(policy for pool in pools for policy in pool.policies),
+        model=np.concatenate([pool.model + offset for pool, offset in zip(pools, offsets, strict=True)]),
+        again=None,
+        known=None,
+    )

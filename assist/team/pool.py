@@ -28,11 +28,10 @@ from ..person.qmdp import QMDP, qmdp
 from ..person.settings import Setting, require_setting
 from ..person.travel import Travel
 from .drawn import Drawn, Estimated
-from .matching import require_matching
+from .matching import require_matching, union
 from .policies import named
 from .solving import AnyTable, Solving, solved_on_demand
 from .state import TeamPolicy
-from .union import union
 
 
 def require_pool(pool: object) -> None:
@@ -70,7 +69,7 @@ class Pool(Result):
     Raises
     ------
     ValueError
-        The parts do not match: numbers of people, grids, discount factors, or numbers of states.
+        The parts do not match (`require_matching`).
     """
 
     setting: Setting
@@ -129,7 +128,7 @@ class Pool(Result):
         ]
 
     def __post_init__(self) -> None:
-        require_matching(self.people, self.names, self.policies, self.model, self.setting.gamma)
+        require_matching(self)
         object.__setattr__(self, "model", frozen(self.model))
 
     @classmethod

@@ -62,9 +62,8 @@ def joint_optimum(
 
     Parameters
     ----------
-    agents : Agents
-    resources : float
-        Units of the resource at each step, 0 or more.
+    agents, resources
+        As in `bound`.
     tolerance : float
         Largest distance from the exact values, as a share of the largest possible value.
     largest : int

@@ -29,13 +29,12 @@ def policy(
 
     Parameters
     ----------
-    agents : Agents
+    agents, resources
+        As in `bound`.
     name : str or callable
         "whittle": by Whittle index. "prices": by the gain at the bound's prices of later steps. "benefit": by the gain
         if the resource were free afterwards. "rollout": "prices", improved by simulation (`RolloutPolicy`). A
         callable is returned unchanged.
-    resources : float
-        Units of the resource at each step.
     prices : PriceBound, optional
         The bound whose prices are used. Default: `bound(agents, resources)`.
     rollout : RolloutOptions, optional

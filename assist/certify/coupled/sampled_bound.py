@@ -49,9 +49,8 @@ def sampled_bound(
 
     Parameters
     ----------
-    agents : Agents
-    resources : float
-        Units of the resource at each step.
+    agents, resources
+        As in `bound`.
     paths : int
         Number of sample paths; at least 30 for a bound.
     seed : int or numpy.random.Generator

@@ -98,11 +98,10 @@ def simulate(
 
     Parameters
     ----------
-    agents : Agents
+    agents, resources
+        As in `bound`.
     act : callable or str
         A policy, or its name (`policy`).
-    resources : float
-        Units of the resource at each step.
     runs : int
         Number of runs.
     seed : int or numpy.random.Generator
@@ -144,14 +143,8 @@ def certify(
 
     Parameters
     ----------
-    agents : Agents
-    act : callable or str
-        A policy, or its name (`policy`).
-    resources : float
-        Units of the resource at each step.
-    runs : int
-        Number of simulated runs.
-    seed : int or numpy.random.Generator
+    agents, act, resources, runs, seed
+        As in `simulate`.
     solved : PriceBound, optional
         The bound. Default: it is computed.
     time_limit : float, optional
