@@ -52,7 +52,7 @@ def main(problems: int, fleets: int, paths: int, record: Path | None) -> None:
     found: dict[str, list[tuple[float, float, float, bool]]] = {}
     for name, agents, units in cases:
         best, solved = joint_optimum(agents, units).value, bound(agents, units)
-        sampled = sampled_bound(agents, units, paths=paths, prices=solved)
+        sampled = sampled_bound(agents, units, paths=paths, solved=solved)
         low = min(solved.upper, sampled.mean + 4 * sampled.stderr) < best - 1e-6
         prices, samples, mean = (100 * (v - best) / -best for v in (solved.upper, sampled.upper, sampled.mean))
         found.setdefault(name, []).append((prices, samples, mean, low))

@@ -100,7 +100,7 @@ def excess(operators: int, robots: int, seed: int, runs: int, rollout_runs: int)
         return 100 * (solved.upper - value) / -solved.upper
 
     for name in POLICIES:
-        act = reactive(operators) if name == "reactive" else policy(agents, name, operators, prices=solved)
+        act = reactive(operators) if name == "reactive" else policy(agents, name, operators, solved=solved)
         run = simulate(agents, act, operators, runs=runs, seed=seed, control=solved)
         found[name] = percent(run.value)
     if rollout_runs and robots <= ROLLOUT_UP_TO * operators:

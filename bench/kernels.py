@@ -98,9 +98,9 @@ def loops(name: str) -> tuple[str, Callable[[], object]]:
     agents = coupled.Agents(rng.dirichlet(np.ones(3), (3, 2, 3)), -rng.random((3, 2, 3)), gamma=0.9)
     prices = coupled.bound(agents, 1)
     if name == "coupled, rollout":
-        rollout = coupled.policy(agents, "rollout", 1, prices=prices)
+        rollout = coupled.policy(agents, "rollout", 1, solved=prices)
         return "20 steps of 3 agents", partial(coupled.simulate, agents, rollout, 1, runs=1, steps=20)
-    return "3 agents of 3 states", partial(coupled.sampled_bound, agents, 1, paths=200, prices=prices)
+    return "3 agents of 3 states", partial(coupled.sampled_bound, agents, 1, paths=200, solved=prices)
 
 
 READABLE = ("steps of people", "beliefs, states seen", "values", "expected values")

@@ -316,7 +316,7 @@ def _recording(walks: Sequence[_Walk], costs: NDArray[np.float64]) -> Recording:
     taken = [(episode, choice) for episode, walk in enumerate(walks) for choice in walk.taken]
     width = max((len(choice.targets) for _, choice in taken), default=1)
     person, episode, step, state, chosen, suggested = (np.zeros(len(taken), dtype=np.int64) for _ in range(6))
-    applicable, price = np.zeros((len(taken), width), dtype=bool), np.zeros((len(taken), width))
+    applicable, cost = np.zeros((len(taken), width), dtype=bool), np.zeros((len(taken), width))
     after = np.zeros((len(taken), width), dtype=np.int64)
     actions = np.full((len(taken), width), WAIT, dtype=np.int64)
     last, previous = (np.full(len(taken), NOTHING_YET, dtype=np.int64) for _ in range(2))
@@ -327,12 +327,12 @@ def _recording(walks: Sequence[_Walk], costs: NDArray[np.float64]) -> Recording:
         applicable[row, filled] = True
         after[row] = choice.state
         after[row, filled] = choice.targets
-        price[row, filled] = costs[choice.actions] if len(choice.actions) else 1.0
+        cost[row, filled] = costs[choice.actions] if len(choice.actions) else 1.0
         actions[row, : len(choice.actions)] = choice.actions
         if row and place == episode[row - 1]:
             last[row], previous[row] = actions[row - 1, chosen[row - 1]], state[row - 1]
     names = tuple(walk.taken[0].entry.episode for walk in walks)
     return Recording(
-        people, names, person, episode, step, state, applicable, after, price, chosen, suggested, actions, last,
+        people, names, person, episode, step, state, applicable, after, cost, chosen, suggested, actions, last,
         previous,
     )  # fmt: skip

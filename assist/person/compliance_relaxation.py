@@ -170,7 +170,7 @@ def mistaken_about_states(human: Human) -> bool:
 class _Graph(NamedTuple):
     """The states that are swept, `order`, and the transitions from them, for compiled code.
 
-    `prices` are the costs of actions, and `perceived` is the cost-to-go that people perceive. `whole` and `h` are the
+    `costs` are those of actions, and `perceived` is the cost-to-go that people perceive. `whole` and `h` are the
     costs of actions and h* as whole numbers, whose sums are exact.
     """
 
@@ -178,7 +178,7 @@ class _Graph(NamedTuple):
     offsets: Ints
     actions: NDArray[np.integer]
     targets: NDArray[np.int32]
-    prices: Floats
+    costs: Floats
     perceived: Floats
     whole: Floats
     h: Floats
@@ -199,7 +199,7 @@ def _sweep(value: Floats, stamp: NDArray[np.uint16], sweep: int, graph: _Graph, 
 
     A state is skipped if no successor has changed by more than `slight` since its last backup; its bound remains valid.
     """
-    order, offsets, actions, targets, prices, perceived, whole, h = graph
+    order, offsets, actions, targets, costs, perceived, whole, h = graph
     gamma, suggestion, lapse, optimal = rates
     slight = 1e-3  # cost units; a smaller change causes no backup of predecessors, to save time
     most = 0
@@ -213,7 +213,7 @@ def _sweep(value: Floats, stamp: NDArray[np.uint16], sweep: int, graph: _Graph, 
         for a in range(choices):
             y = targets[first + a]
             latest = max(latest, stamp[y])
-            p[a] = prices[actions[first + a]] + perceived[y]
+            p[a] = costs[actions[first + a]] + perceived[y]
             least = min(least, p[a])
         if latest + 1 < sweep or choices == 0:
             continue
@@ -225,7 +225,7 @@ def _sweep(value: Floats, stamp: NDArray[np.uint16], sweep: int, graph: _Graph, 
         alone, mean, highest = 0.0, 0.0, -np.inf
         for a in range(choices):
             p[a] /= total
-            u[a] = gamma * value[targets[first + a]] - prices[actions[first + a]]
+            u[a] = gamma * value[targets[first + a]] - costs[actions[first + a]]
             alone += p[a] * u[a]
             mean += u[a] / choices
             highest = max(highest, u[a])

@@ -49,8 +49,8 @@ def never_erring(h: Floats, costs: ArrayLike, gamma: float) -> Floats:
         Costs of the task's actions.
     gamma : float
     """
-    prices = np.append(costs, 1.0)  # a wait costs 1
-    return np.asarray(prices.min() * np.expm1(h / prices.max() * np.log(gamma)) / (1 - gamma))
+    each = np.append(costs, 1.0)  # a wait costs 1
+    return np.asarray(each.min() * np.expm1(h / each.max() * np.log(gamma)) / (1 - gamma))
 
 
 def never_erring_with_help(
@@ -114,13 +114,13 @@ class CostLevels:
         Cost of one level, in cost units: all costs of actions are multiples of it.
     steps : int array, shape (C,)
         Levels of each cost, ascending. A wait, which costs 1, is rounded up.
-    prices : float array, shape (C,)
+    costs : float array, shape (C,)
         These costs, in cost units.
     """
 
     step: float
     steps: Ints
-    prices: Floats
+    costs: Floats
 
     @classmethod
     def of(cls, known: CostToGo) -> CostLevels:
@@ -208,7 +208,7 @@ def advised(survey: Survey, levels: CostLevels, floor: float, assumed: Assumptio
     """
     highest, grid, gamma = survey.highest, assumed.grid, assumed.gamma
     value = np.full((highest + 1, len(grid.theta)), floor)
-    costs, charge = levels.prices, assumed.robot.costs[SUGGESTION if suggests else NOTHING_DONE]
+    costs, charge = levels.costs, assumed.robot.costs[SUGGESTION if suggests else NOTHING_DONE]
     if costs[0] > 0:
         value[0] = 0.0
     p = 1 / survey.actions

@@ -242,7 +242,7 @@ class TruncatedTask:
         gamma, trust, thetas = assumed.gamma, assumed.trust, len(assumed.grid.theta)
         nothing, suggestion, _ = assumed.robot.costs
         levels = CostLevels.of(first_of(self.known))
-        dear, several = float(levels.prices[-1]), self.choices.goals.distinguished
+        dear, several = float(levels.costs[-1]), self.choices.goals.distinguished
         anybody = self.bounds_of_anybody(assumed)
         floor = -(dear + (nothing if several else max(nothing, suggestion))) / (1 - gamma)
         by_equation = trust is None or isinstance(trust, EquationSeven)

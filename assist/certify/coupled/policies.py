@@ -22,7 +22,7 @@ def policy(
     name: str | CoupledPolicy,
     resources: float,
     *,
-    prices: PriceBound | None = None,
+    solved: PriceBound | None = None,
     rollout: RolloutOptions | None = None,
 ) -> CoupledPolicy:
     """Return a policy by name.
@@ -35,7 +35,7 @@ def policy(
         "whittle": by Whittle index. "prices": by the gain at the bound's prices of later steps. "benefit": by the gain
         if the resource were free afterwards. "rollout": "prices", improved by simulation (`RolloutPolicy`). A
         callable is returned unchanged.
-    prices : PriceBound, optional
+    solved : PriceBound, optional
         The bound whose prices are used. Default: `bound(agents, resources)`.
     rollout : RolloutOptions, optional
         Effort of "rollout".
@@ -58,7 +58,7 @@ def policy(
     if name == "benefit":
         values = [free_values(agents)]
     elif name in ("prices", "rollout"):
-        solved = bound(agents, limit) if prices is None else prices
+        solved = bound(agents, limit) if solved is None else solved
         values = [solved.at(t + 1) for t in range(max(1, len(solved.prices)))]
     else:
         raise ValueError(f"policy {name!r}: expected 'whittle', 'prices', 'benefit', 'rollout' or a function")

@@ -67,7 +67,7 @@ class RolloutPolicy:
     Attributes
     ----------
     base : IndexPolicy
-    prices : PriceBound
+    solved : PriceBound
         The bound whose values measure advantages.
     advantage : float array, shape (W + 1, A, K * S)
         Q - V of single agents at the bound's prices, at each step; the last holds from then on.
@@ -75,7 +75,7 @@ class RolloutPolicy:
     """
 
     base: IndexPolicy
-    prices: PriceBound
+    solved: PriceBound
     advantage: Floats
     options: RolloutOptions
 
@@ -85,11 +85,11 @@ class RolloutPolicy:
         read_only(self)
 
     @classmethod
-    def on(cls, base: IndexPolicy, prices: PriceBound, options: RolloutOptions) -> RolloutPolicy:
+    def on(cls, base: IndexPolicy, solved: PriceBound, options: RolloutOptions) -> RolloutPolicy:
         """Return the rollout policy on a base policy."""
-        steps = len(prices.prices) + 1
-        gain = np.stack([base.agents.look_ahead(prices.at(t + 1)) - prices.at(t) for t in range(steps)])
-        return cls(base, prices, gain, options)
+        steps = len(solved.prices) + 1
+        gain = np.stack([base.agents.look_ahead(solved.at(t + 1)) - solved.at(t) for t in range(steps)])
+        return cls(base, solved, gain, options)
 
     def __call__(self, step: int, states: Ints, /) -> Ints:
         """Return the actions of all agents, shape (runs, N)."""

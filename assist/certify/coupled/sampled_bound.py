@@ -42,7 +42,7 @@ from .price_bound import PriceBound, bound_for
 
 
 def sampled_bound(
-    agents: Agents, resources: float, *, paths: int = 100, seed: Seed = 0, prices: PriceBound | None = None,
+    agents: Agents, resources: float, *, paths: int = 100, seed: Seed = 0, solved: PriceBound | None = None,
     largest: int = 5_000, time_limit: float | None = None,
 ) -> SampledBound:  # fmt: skip
     """Return an upper bound on the value of every policy from sample paths; it holds with 95 % confidence.
@@ -54,7 +54,7 @@ def sampled_bound(
     paths : int
         Number of sample paths; at least 30 for a bound.
     seed : int or numpy.random.Generator
-    prices : PriceBound, optional
+    solved : PriceBound, optional
         The bound with its prices. Default: `bound(agents, resources)`.
     largest : int
         Largest number of joint states up to which the best actions on a sample path are computed exactly. Three agents
@@ -71,7 +71,7 @@ def sampled_bound(
     limit = units(resources)
     count, joint = whole("paths", paths, 2), whole("largest", largest, 1)
     ends = Deadline.after(time_limit)
-    solved = bound_for(agents, limit, prices, time_limit=None if time_limit is None else time_limit / 2)
+    solved = bound_for(agents, limit, solved, time_limit=None if time_limit is None else time_limit / 2)
     W, (_, A, S) = len(solved.prices), agents.shape
     reward, use, may = agents.flat
     loss = np.empty((W, *reward.shape))

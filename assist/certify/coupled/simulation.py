@@ -122,7 +122,7 @@ def simulate(
     key = entropy(seed)
     number = whole("runs", runs, 1)
     last = horizon(agents.gamma) if steps is None else whole("steps", steps, 1)
-    act = policy(agents, act, resources, prices=control)
+    act = policy(agents, act, resources, solved=control)
     size = max(1, BLOCK // len(agents))
     ends, parts = Deadline.after(time_limit), list[tuple[Floats, Floats, int, float]]()
     for begin in range(0, number, size):

@@ -123,7 +123,7 @@ def test_samples_are_between_the_optimum_and_the_prices_bound(seed: int, count: 
     best = coupled.joint_optimum(agents, M).value
     solved = bound(agents, M, prices=np.random.default_rng(seed).uniform(0, 1, 30))
     exact, by_prices = (
-        sampled_bound(agents, M, paths=30, seed=seed, prices=solved, largest=largest) for largest in (5000, 1)
+        sampled_bound(agents, M, paths=30, seed=seed, solved=solved, largest=largest) for largest in (5000, 1)
     )
     assert best - 4 * exact.stderr - 1e-6 <= exact.mean <= by_prices.mean + 1e-9
     assert by_prices.mean <= solved.upper + 1e-9
@@ -136,7 +136,7 @@ def test_without_chance_samples_give_the_optimum(seed: int, count: int, M: float
     P = np.eye(3)[rng.integers(3, size=(count, 2, 3))]
     uses = np.stack([np.zeros((count, 3)), rng.uniform(0.2, 1.5, size=(count, 3))], axis=1)
     agents = Agents(P, rng.normal(size=(count, 2, 3)), uses, gamma=GAMMA)
-    found = sampled_bound(agents, M, paths=2, prices=bound(agents, M, window=70))
+    found = sampled_bound(agents, M, paths=2, solved=bound(agents, M, window=70))
     assert found.mean == pytest.approx(coupled.joint_optimum(agents, M).value, abs=1e-5)
     assert found.stderr < 1e-9
 
@@ -149,7 +149,7 @@ def test_no_policy_exceeds_the_bounds_in_sixty_problems() -> None:
         agents = problem(seed, 2 + seed % 3, 2 + seed % 2)
         best, solved = joint_optimum(agents, 1), bound(agents, 1)
         assert solved.upper >= best - 1e-9, seed
-        sampled = sampled_bound(agents, 1, paths=40, seed=seed, prices=solved)
+        sampled = sampled_bound(agents, 1, paths=40, seed=seed, solved=solved)
         assert sampled.mean >= best - 4 * sampled.stderr - 1e-6, seed
         by_prices.append((solved.upper - best) / abs(best))
         by_samples.append((sampled.mean - best) / abs(best))
@@ -219,7 +219,7 @@ def test_rollout_is_better_than_the_policy_it_begins_from() -> None:
         agents = problem(seed, 3, 2)
         solved = bound(agents, 1, window=12)
         options = RolloutOptions(samples=2000, horizon=25, alternatives=6)
-        act = policy(agents, "rollout", 1, prices=solved, rollout=options)
+        act = policy(agents, "rollout", 1, solved=solved, rollout=options)
         # After the last step with a price, the base policy is the one without prices.
         value = exact_value(agents, act, 1)
         better.append(value - exact_value(agents, act.base, 1))
@@ -242,7 +242,7 @@ def test_a_given_bound_is_for_the_same_units_of_the_resource() -> None:
     solved = bound(agents, 1, window=12)
     assert joint_optimum(agents, 2) > solved.upper
     with pytest.raises(ValueError, match="resources 2: expected 1, as the given bound is for"):
-        sampled_bound(agents, 2, prices=solved)
+        sampled_bound(agents, 2, solved=solved)
     with pytest.raises(ValueError, match="resources 2: expected 1, as the given bound is for"):
         certify(agents, "prices", 2, solved=solved)
 
@@ -310,7 +310,7 @@ def test_actions_may_use_different_units() -> None:
     agents = problem(3, 4, 3, actions=3)
     agents = Agents(matrices(agents), agents.R, uses=[[0, 1, 2]] * 4, gamma=GAMMA)
     solved = bound(agents, 3, window=6)
-    act = policy(agents, "prices", 3, prices=solved)
+    act = policy(agents, "prices", 3, solved=solved)
     states = np.array(list(itertools.product(range(3), repeat=4)))
     assert (act(0, states).sum(axis=1) <= 3).all()
     assert solved.upper >= simulate(agents, act, 3, runs=500).value - 1e-9
