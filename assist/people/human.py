@@ -6,7 +6,7 @@ How people choose is a `ChoiceModel`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
@@ -98,8 +98,8 @@ class HumanModel:
     Attributes
     ----------
     choices : Choices
-    q : float array, shape (n, A), or (n, A, G) if the goal is one of several
-        The person's perceived costs, or the exact costs if the robot does not know them.
+    q : float array, shape (n, A, G)
+        The person's perceived costs for each of G goals, or the exact costs if the robot does not know them.
     eta : float
         Learning rate of the trust update.
     lapse : float
@@ -132,23 +132,15 @@ class HumanModel:
     @property
     def of_each_goal(self) -> list[tuple[Choices, Floats]]:
         """The choices and perceived costs, shape (n, A), with each of the goals known."""
-        q = self.q.reshape(*self.q.shape[:2], -1)
-        return [(own, np.ascontiguousarray(q[:, :, goal])) for goal, own in enumerate(self.choices.of_each_goal)]
+        return [(own, np.ascontiguousarray(self.q[:, :, goal])) for goal, own in enumerate(self.choices.of_each_goal)]
 
     @classmethod
     def exact(cls, choices: Choices, **rates: float) -> HumanModel:
         """Return the model of a person of whom only the task is known (`knowledge="exact"`): h* in place of h."""
-        q = _of_goals(perceived_cost(own, own.h) for own in choices.of_each_goal)
-        return cls(choices, q, **rates)
+        return cls(choices, np.stack([perceived_cost(own, own.h) for own in choices.of_each_goal], axis=2), **rates)
 
     @classmethod
     def own(cls, choices: Choices, human: Human, **rates: float) -> HumanModel:
         """Return the model of a person whose perceived costs are known (`knowledge="own"`, as in the paper)."""
-        q = _of_goals(perceived_cost(own, human.expects(own)) for own in choices.of_each_goal)
-        return cls(choices, q, **rates)
-
-
-def _of_goals(each: Iterable[Floats]) -> Floats:
-    """Return arrays of shape (n, A) for each goal as one of shape (n, A, G); that of a single goal as it is."""
-    found = list(each)
-    return np.stack(found, axis=2) if len(found) > 1 else found[0]
+        each = [perceived_cost(own, human.expects(own)) for own in choices.of_each_goal]
+        return cls(choices, np.stack(each, axis=2), **rates)

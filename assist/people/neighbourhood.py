@@ -62,8 +62,8 @@ def seen_value(model: HumanModel, x: Ints) -> Floats:
     x : int array, shape (N,)
         States whose choices are known.
     """
-    goals, q = model.choices.goals, model.q.reshape(*model.q.shape[:2], -1)[x]
-    value = np.where(goals.goal[:, x].T, 0.0, -q.min(axis=1))
+    goals = model.choices.goals
+    value = np.where(goals.goal[:, x].T, 0.0, -model.q[x].min(axis=1))
     return mean_over_goals(value, np.array(list(goals.prior.values())))
 
 

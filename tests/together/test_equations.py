@@ -44,14 +44,14 @@ examples = costly(12, 60)
 def problem_of(drawn: list[tuple[int, int, int]], person: dict[str, float], sigma: float) -> AssistPOMDP:
     choices = Choices.of(sweep(graph_task(drawn)))
     q = perceived_cost(choices, perceived_cost_to_go(choices, sigma, np.random.default_rng(1)))
-    model, grid = HumanModel(choices, q, **person), Grid(BETA.copy(), THETA.copy())
+    model, grid = HumanModel(choices, q[:, :, None], **person), Grid(BETA.copy(), THETA.copy())
     return AssistPOMDP.of(model, grid=grid, gamma=0.9, robot=OfRobots(c_suggest=0.3), suggestions="all")
 
 
 def response(problem: AssistPOMDP, x: int, r: int) -> Floats:
     """Return the probability of each slot, shape (B, T, A), by the equations of `people.decision`."""
     model, applicable = problem.model, problem.model.choices.applicable[x]
-    p = np.array([choice(model.q[x], applicable, beta) for beta in BETA])
+    p = np.array([choice(model.q[x, :, 0], applicable, beta) for beta in BETA])
     heard = [[influence(row, int(problem.suggested[x, r]), theta) for theta in THETA] for row in p]
     return lapse(np.array(heard), applicable, model.lapse)
 
@@ -59,7 +59,7 @@ def response(problem: AssistPOMDP, x: int, r: int) -> Floats:
 def moves(problem: AssistPOMDP, x: int, r: int) -> Floats:
     """Return the transition matrix of theta, shape (T, T), by the equations of `people.decision`."""
     model, choices = problem.model, problem.model.choices
-    value, slot = perceived_value(choices, model.q), problem.suggested[x, r]
+    value, slot = perceived_value(choices, model.q[:, :, 0]), problem.suggested[x, r]
     after = THETA
     if slot != NOTHING:
         after = trust(THETA, value[x], value[choices.targets[x, slot]], model.eta, model.utility_scale)
@@ -163,7 +163,8 @@ def test_the_likelihood_of_a_walk_is_that_of_the_equations(
     """
     problem = problem_of(drawn, person, 0.0)
     model, choices, rng = problem.model, problem.model.choices, np.random.default_rng(seed)
-    value, lowest = perceived_value(choices, model.q), model.q.min(axis=1, keepdims=True)
+    q = model.q[:, :, 0]
+    value, lowest = perceived_value(choices, q), q.min(axis=1, keepdims=True)
     x, theta, total = choices.initial, first, 0.0
     steps = []
     for _ in range(12):
@@ -171,7 +172,7 @@ def test_the_likelihood_of_a_walk_is_that_of_the_equations(
             break
         applicable = choices.applicable[x]
         told = int(rng.choice([NOTHING, *np.flatnonzero(applicable & (choices.actions[x] >= 0))]))
-        p = lapse(influence(choice(model.q[x], applicable, beta), told, theta), applicable, model.lapse)
+        p = lapse(influence(choice(q[x], applicable, beta), told, theta), applicable, model.lapse)
         a = int(rng.choice(len(p), p=p / p.sum()))
         total += log(p[a])
         gain = 0.0
@@ -179,7 +180,7 @@ def test_the_likelihood_of_a_walk_is_that_of_the_equations(
             y = choices.targets[x, told]
             gain = 0.0 if value[x] == value[y] else float(value[y] - value[x])
             theta = float(trust(theta, value[x], value[y], model.eta, model.utility_scale))
-        excess = np.where(np.isfinite(lowest[x]), model.q[x] - np.where(np.isfinite(lowest[x]), lowest[x], 0.0), 0.0)
+        excess = np.where(np.isfinite(lowest[x]), q[x] - np.where(np.isfinite(lowest[x]), lowest[x], 0.0), 0.0)
         steps.append((excess, int(applicable.sum()), a, told, gain / model.utility_scale))
         x = int(choices.targets[x, a])
     if not steps:

@@ -43,14 +43,15 @@ def enumerate_posterior(pomdp: AssistPOMDP, history: list[tuple[int, int, int]])
     """Sum over every beta and every sequence of theta's grid points, straight from the model's equations."""
     model, grid = pomdp.model, pomdp.grid
     c = model.choices
-    value = np.where(c.goal, 0.0, -model.q.min(axis=1))
+    q = model.q[:, :, 0]
+    value = np.where(c.goal, 0.0, -q.min(axis=1))
     steps = len(history)
     posterior = np.zeros(grid.shape)
     for b, path in product(range(grid.shape[0]), product(range(grid.shape[1]), repeat=steps + 1)):
         weight = pomdp.prior[b, path[0]]
         for (x, action, slot), before, after in zip(history, path, path[1:], strict=False):
             suggestion = int(pomdp.suggested[x, action])
-            p = choice(model.q[x], c.applicable[x], grid.beta[b])
+            p = choice(q[x], c.applicable[x], grid.beta[b])
             p = lapse(influence(p, suggestion, grid.theta[before]), c.applicable[x], model.lapse)
             weight *= p[slot]
             theta = grid.theta[before]

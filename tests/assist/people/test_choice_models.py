@@ -279,14 +279,14 @@ def short_sighted(choices: Choices, _: Floats, beta: Floats) -> Floats:
 def test_a_model_of_ones_own_is_used_everywhere(tiny: Table) -> None:
     choices, grid = Choices.of(tiny), Grid(np.array([0.5, 2.0]), np.array([0.0, 0.5, 1.0]))
     pomdp = AssistPOMDP.of(HumanModel.exact(choices), behaviour=Behaviour(short_sighted), grid=grid)
-    expected = short_sighted(choices, pomdp.model.q, grid.beta)
+    expected = short_sighted(choices, pomdp.model.q[:, :, 0], grid.beta)
     expected = np.where(choices.goal[:, None], 0.0, expected)  # who has reached the goal does nothing
     np.testing.assert_array_equal(pomdp.chosen, np.moveaxis(expected, 0, 2))
     people = Population(beta=(2, 2), sigma=(0, 0), chooses=short_sighted)
     assert plain(people)["chooses"] == "short_sighted"
     pool = Pool.sample(tiny, 3, seed=0, population=people)
     np.testing.assert_array_equal(
-        pool.people[0].chances(choices), short_sighted(choices, pomdp.model.q, np.array([2.0]))[0]
+        pool.people[0].chances(choices), short_sighted(choices, pomdp.model.q[:, :, 0], np.array([2.0]))[0]
     )
     alone = simulate(pool, "none", humans=1, episodes=400, seed=0)
     value = qmdp(
@@ -334,13 +334,16 @@ def test_what_trust_looks_at_may_be_ones_own(tiny: Table) -> None:
 def test_what_gives_no_chances_is_refused(tiny: Table, own: Any, message: str) -> None:
     choices = Choices.of(tiny)
     with pytest.raises(UserCodeError, match=message):
-        chances(own, choices, HumanModel.exact(choices).q, np.array([0.5, 2.0]))
+        chances(own, choices, HumanModel.exact(choices).q[:, :, 0], np.array([0.5, 2.0]))
 
 
 def test_chances_that_almost_add_up_to_one_are_scaled(tiny: Table) -> None:
     choices = Choices.of(tiny)
     found = chances(
-        lambda c, q, beta: boltzmann(c, q, beta) * (1 + 9e-10), choices, HumanModel.exact(choices).q, np.array([0.5])
+        lambda c, q, beta: boltzmann(c, q, beta) * (1 + 9e-10),
+        choices,
+        HumanModel.exact(choices).q[:, :, 0],
+        np.array([0.5]),
     )
     np.testing.assert_allclose(found.sum(axis=2)[0], choices.applicable.any(axis=1), atol=1e-15)
 

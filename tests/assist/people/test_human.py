@@ -328,9 +328,9 @@ def test_a_model_is_of_the_task_or_of_the_person(tiny_choices: Choices) -> None:
         assert model.choices is tiny_choices
         assert (model.eta, model.lapse, model.utility_scale) == (0.0, 0.0, 2.5)
         expected = tiny_choices.costs + h[tiny_choices.targets]
-        np.testing.assert_array_equal(model.q[tiny_choices.applicable], expected[tiny_choices.applicable])
+        np.testing.assert_array_equal(model.q[tiny_choices.applicable, 0], expected[tiny_choices.applicable])
         with pytest.raises(ValueError, match="read-only"):
-            model.q[0, 0] = 0.0
+            model.q[0, 0, 0] = 0.0
     for model in (HumanModel.exact(tiny_choices), HumanModel.own(tiny_choices, person)):
         assert (model.eta, model.lapse, model.utility_scale) == (0.2, 1e-3, 1.0)
 
@@ -348,12 +348,12 @@ def test_arrays_of_the_caller_stay_their_own(tiny: Table) -> None:
     h, distance = choices.h.copy(), np.ones((3, 3)) - np.eye(3)
     human = Human(1.0, 0.5, 0.0, h)
     q = perceived_cost(choices, h)
-    model = HumanModel(choices, q)
+    model = HumanModel(choices, q[:, :, None])
     travel = Travel(distance, np.array([0.5]), np.zeros(1))
-    before = human.h[0], model.q[0, 0], travel.distance[0, 1]
+    before = human.h[0], model.q[0, 0, 0], travel.distance[0, 1]
     h += 1
     q += 1
     distance += 1
-    assert (human.h[0], model.q[0, 0], travel.distance[0, 1]) == before
+    assert (human.h[0], model.q[0, 0, 0], travel.distance[0, 1]) == before
     for array in (human.h, model.q, travel.distance, travel.c_move):
         assert not array.flags.writeable

@@ -63,7 +63,7 @@ def values(problem: AssistPOMDP, *, policy: str) -> Floats:
             theta = (
                 grid.theta if r < 0 else trust(grid.theta, -model.q[x].min(), 0.0 if c.goal[y] else -c.h[y], model.eta)
             )
-            alone = np.array([choice(model.q[x], c.applicable[x], beta) for beta in grid.beta])
+            alone = np.array([choice(model.q[x, :, 0], c.applicable[x], beta) for beta in grid.beta])
             chance = lapse(
                 influence(alone[:, None] + 0 * grid.theta[:, None], r, grid.theta), c.applicable[x], model.lapse
             )

@@ -98,8 +98,7 @@ def joint_filter(
             if told is not None:
                 goals = choices.goals
                 share = np.array(list(goals.prior.values()))
-                costs = pomdp.model.q.reshape(*pomdp.model.q.shape[:2], -1)
-                value = [np.where(goals.goal[:, at], 0.0, costs[at].min(axis=0)) @ share for at in (x[k], y)]
+                value = [np.where(goals.goal[:, at], 0.0, pomdp.model.q[at].min(axis=0)) @ share for at in (x[k], y)]
                 events.append((k, value[0] - value[1], slot == names.index(told)))
             if not pomdp.final[:, y].all() and reached.any() and not reached.all() and kept[step][k]:
                 stays = np.where(reached, 0.0, 1.0)

@@ -240,8 +240,8 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
     human = Population().sample(tiny_choices, 1, rng)[0]
     model = HumanModel.own(tiny_choices, human, lapse=0.05)
     pomdp = AssistPOMDP.of(model, robot=OfRobots(execute=True))
-    n, (betas, thetas) = 4_000, pomdp.grid.shape
-    value = perceived_value(tiny_choices, model.q)
+    n, (betas, thetas), q = 4_000, pomdp.grid.shape, model.q[:, :, 0]
+    value = perceived_value(tiny_choices, q)
     open_states = np.flatnonzero(~tiny_choices.goal)
     for x in rng.choice(open_states, 6):
         for said in range(pomdp.robot_actions[x]):
@@ -253,7 +253,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             )  # fmt: skip
             known = KnownStates(people.x, np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=bool))
             modelled = PersonModel.of(LazyPolicy(pomdp, qmdp))
-            alone = choice(model.q, tiny_choices.applicable, np.full(len(tiny_choices), beta))
+            alone = choice(q, tiny_choices.applicable, np.full(len(tiny_choices), beta))
             minds = Minds.of_model(pomdp)._replace(
                 goal=np.zeros(1, dtype=np.int64), p=alone[None], value=value[None], eta=model.eta, on_grid=False
             )
@@ -265,7 +265,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
                 assert (people.x == place).all()
                 assert (people.slot == -1).all()
                 continue
-            p = influence(choice(model.q[place], tiny_choices.applicable[place], beta), told, theta)
+            p = influence(choice(q[place], tiny_choices.applicable[place], beta), told, theta)
             p = lapse(p, tiny_choices.applicable[place], model.lapse)
             seen = np.bincount(people.slot, minlength=len(p)) / n
             assert (np.abs(seen - p) < 5 * np.sqrt(p * (1 - p) / n) + 1e-12).all()
