@@ -58,13 +58,13 @@ def policy(
     if name == "benefit":
         values = [free_values(agents)]
     elif name in ("prices", "rollout"):
-        solved = bound(agents, limit) if solved is None else solved
-        values = [solved.at(t + 1) for t in range(max(1, len(solved.prices)))]
+        given = bound(agents, limit) if solved is None else solved
+        values = [given.at(t + 1) for t in range(max(1, len(given.prices)))]
     else:
         raise ValueError(f"policy {name!r}: expected 'whittle', 'prices', 'benefit', 'rollout' or a function")
     parts = [_gains(agents, one) for one in values]
     found = IndexPolicy(agents, limit, np.stack([gain for gain, _ in parts]), np.stack([rest for _, rest in parts]))
-    return RolloutPolicy.on(found, solved, rollout or RolloutOptions()) if name == "rollout" else found
+    return RolloutPolicy.on(found, given, rollout or RolloutOptions()) if name == "rollout" else found
 
 
 def _gains(agents: Agents, values: Floats) -> tuple[Floats, Ints]:
