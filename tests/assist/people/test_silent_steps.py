@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import graph_task
+from joint import joint_bounds
 from silence import Belief, HalfSeen, Joint, OnePerson, Rested, ThreeInARow, TwoPeople
 from test_trust_fit import recorded, seen
 
@@ -180,6 +181,16 @@ def test_the_best_that_a_robot_can_do_for_two_people_is_just_below_the_bound(rul
     assert bound <= best + 0.006 * abs(best)
     run = simulate(pool, "attention", humans=[0, 1], episodes=4000, seed=0, world="model").discounted_return
     assert run.mean() <= best + 4 * run.std() / np.sqrt(len(run))
+
+
+@pytest.mark.parametrize("rule", ON_GRID, ids=str)
+def test_two_people_solved_together_are_worth_what_plain_arithmetic_says(rule: TrustRule) -> None:
+    pool, both, people, rest = two_people(rule)
+    best, joint = both.value(people, 5), joint_bounds(pool, gap=1e-3)
+    assert joint.gap <= 1e-3
+    assert joint.lower <= best
+    assert joint.upper >= best - rest
+    assert joint.lower > joint.never + 0.004
 
 
 @pytest.mark.parametrize("rule", ON_GRID, ids=str)
