@@ -1,9 +1,9 @@
 """Exact solution of a team's joint POMDP between bounds, for tiny teams and tasks.
 
 Nothing is relaxed or decomposed. Observed are the states of all tasks and the robot's location; hidden are beta and
-theta of all people. The numbers of both are products over people, so that two people with a task of some dozen states
-are about the limit. The solution is the reference for scalable methods: team policies, and the bound for large teams
-(`assist.certify.team_bound`).
+theta of all people. Theta of several people may move in one step, also where nothing is suggested. The numbers of
+states are products over people, so that two people with a task of some dozen states are about the limit. The solution
+is the reference for scalable methods: team policies, and the bound for large teams (`assist.certify.team_bound`).
 
 It is found by heuristic search value iteration (Smith and Simmons, "Heuristic search value iteration for POMDPs", 2004)
 in its basic form. The lower bound consists of alpha vectors, the first of which is the policy that never helps. The

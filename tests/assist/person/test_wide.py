@@ -126,7 +126,7 @@ def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge
         assert (policy == "reactive") == (not runs[0].executed.any())
     cut = Pool.sample(table, 3, seed=1, setting=setting, region=40)
     none, best, near = (
-        simulate(pool, policy, humans=2, episodes=100, seed=4).discounted_return.mean()
+        simulate(pool, policy, humans=2, episodes=50, seed=4).discounted_return.mean()
         for pool, policy in ((cut, "none"), (whole, "attention"), (cut, "attention"))
     )
     assert near - none > 0.8 * (best - none) > 0
@@ -286,7 +286,7 @@ def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> Non
     whole = Pool.sample(fixed, 2, seed=3, setting=setting)
     part = Pool.sample(fixed, 2, seed=3, setting=setting, states=0, region=40)
     returns = {
-        (name, policy): simulate(pool, policy, humans=2, episodes=200, seed=4).discounted_return
+        (name, policy): simulate(pool, policy, humans=2, episodes=100, seed=4).discounted_return
         for name, pool in (("whole", whole), ("part", part))
         for policy in ("none", "attention", "priority")
     }

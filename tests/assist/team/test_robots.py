@@ -115,7 +115,7 @@ def test_with_a_robot_each_everybody_is_always_attended_to(pool: Pool) -> None:
 
 
 def test_more_robots_are_worth_more(strangers: Pool) -> None:
-    found = [run(of(strangers, robots), "priority", 4, 1000).discounted_return for robots in (1, 2, 3, 4)]
+    found = [run(of(strangers, robots), "priority", 4, 500).discounted_return for robots in (1, 2, 3, 4)]
     for fewer, more in itertools.pairwise(found):
         difference = more - fewer
         assert difference.mean() > -2 * difference.std() / np.sqrt(len(difference))
@@ -702,7 +702,7 @@ def test_a_cost_of_waiting_is_charged_weighed_and_bounded(c_wait: float) -> None
     bound = upper_bound(pool, window=4, gap=1e-3, options=BoundOptions(price_episodes=100))
     assert best - 1e-6 <= bound.proven
     for name in ("attention", "attention-never", "priority", "whittle"):
-        value = bound.certify(name, episodes=1000)
+        value = bound.certify(name, episodes=500)
         assert best - 0.2 < value.value <= best + 4 * value.value_stderr
 
 
@@ -722,7 +722,7 @@ def test_a_bound_holds_where_one_robot_leaves_while_another_is_on_its_way() -> N
         return team.act(person, action)
 
     bound = upper_bound(pool, gap=0.01)
-    value = bound.certify(in_turn, episodes=1000)
+    value = bound.certify(in_turn, episodes=500)
     assert value.value - 4 * value.value_stderr <= bound.proven
     assert value.value + 4 * value.value_stderr > -18.6, "who would be paid for waiting gets less than the bound"
 
