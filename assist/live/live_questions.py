@@ -48,7 +48,7 @@ class LiveQuestions:
             The people who may be asked.
         """
         working = int((team.present & ~team.ended).sum())
-        attention = min(1.0, len(self._setting.robots) / max(1, working))
+        attention = float(self._setting.fleet.attention(working))
         found = [self._of(team, team.records[k], attention) for k in np.flatnonzero(active).tolist()]
         return _worth_most(found)
 

@@ -21,7 +21,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planner.system.arrays import frozen
 
@@ -73,6 +73,10 @@ class Fleet:
     def scarce_for(self, people: int) -> bool:
         """Return whether the robots ever have to choose among so many people: there are fewer robots."""
         return len(self) < people
+
+    def attention(self, people: ArrayLike) -> Floats:
+        """Return the share of a robot's attention that each of so many people at work gets, at most 1."""
+        return np.minimum(1.0, len(self) / np.maximum(1, people))
 
     def each(self, name: str) -> NDArray[Any]:
         """Return the value of a field for each robot, shape (M,)."""

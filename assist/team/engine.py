@@ -117,7 +117,7 @@ class Engine:
     ----------
     clock : int array, shape (N,)
         The present step of each team.
-    over : bool array, shape (N,)
+    left_out : bool array, shape (N,)
         Teams that are left out.
     """
 
@@ -126,7 +126,8 @@ class Engine:
         acted_on: Callable[[Beliefs], Beliefs] | None = None,
     ) -> None:  # fmt: skip
         self.tasks, self.people, self.robots, self.beliefs, self._acted_on = tasks, people, robots, beliefs, acted_on
-        self.clock, self.over = np.zeros(len(people.number), dtype=np.int64), np.zeros(len(people.number), dtype=bool)
+        self.clock = np.zeros(len(people.number), dtype=np.int64)
+        self.left_out = np.zeros(len(people.number), dtype=bool)
         self._now: Now | None = None
         self._charged = np.zeros(people.situation.shape)
 
@@ -138,7 +139,7 @@ class Engine:
         """
         if self._now is None:
             them, clock = self.people, self.clock[:, None]
-            to_come = ~them.finished & (clock < them.presence.leaves) & ~self.over[:, None]
+            to_come = ~them.finished & (clock < them.presence.leaves) & ~self.left_out[:, None]
             active = to_come & (clock >= them.presence.joins)
             flat = np.flatnonzero(active)
             them.row[:] = self.tasks.rows(them.situation, flat)
@@ -152,8 +153,8 @@ class Engine:
 
     def leave_out(self, teams: Bools) -> None:
         """Leave these teams out, shape (N,), until others are named."""
-        if (teams != self.over).any():
-            self.over = teams
+        if (teams != self.left_out).any():
+            self.left_out = teams
             self.changed()
 
     def deciding(self) -> Ints:
@@ -183,7 +184,7 @@ class Engine:
         all that is known, with people in their most probable states. The cost is one of the present step.
         """
         now, (N, K), found = self.now, self.people.goal.shape, list[tuple[Asked, bool]]()
-        asked = questions.of_teams(self.beliefs, now.active, self.tasks.model, len(self.robots.fleet))
+        asked = questions.of_teams(self.beliefs, now.active, self.tasks.model, self.robots.fleet)
         uniform = self._uniform(Stream.ANSWER).reshape(N, K) if questions.error else np.ones((N, K))
         for one in asked:
             yes = one.question.answer(int(self.people.goal[one.team, one.person]), uniform[one.team, one.person])

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..people.decision import Floats
 from ..people.hidden_type import HiddenType
 from ..person.beliefs import Beliefs
+from ..person.fleet import Fleet
 from ..person.joint_belief import JointBelief, expected_answers
 from ..person.policy import OfRows, Policy
 from ..person.qmdp import qmdp
@@ -96,13 +97,13 @@ class Questions:
         x : int array, shape (N,)
         belief : float array, shape (N, H, T)
         attention : float array, shape (N,)
-            Share of a robot's attention that each person gets: robots per person who is at work, at most 1.
+            Share of a robot's attention that each person gets (`Fleet.attention`).
         """
         each = policy.pomdp.hidden.marginal(belief * self._benefit[policy](x), "goal")
         return self._best(each, attention)
 
     def of_teams(
-        self, beliefs: Beliefs, active: NDArray[np.bool_], model: NDArray[np.int64], robots: int
+        self, beliefs: Beliefs, active: NDArray[np.bool_], model: NDArray[np.int64], fleet: Fleet
     ) -> list[Asked]:
         """Return the question in each team that is worth most, where it is worth its cost.
 
@@ -114,10 +115,10 @@ class Questions:
             Who is at work.
         model : int array, shape (N, K)
             Index of each person's policy.
-        robots : int
-            Number of robots of each team.
+        fleet : Fleet
+            The robots of each team.
         """
-        attention = np.minimum(1, robots / np.maximum(1, active.sum(axis=1)))
+        attention = fleet.attention(active.sum(axis=1))
         goal, worth = np.zeros(active.shape, dtype=np.int64), np.full(active.shape, -np.inf)
         for number, flat in by_model(model.reshape(-1), np.flatnonzero(active), len(self.policies)):
             at = np.unravel_index(flat, active.shape)

@@ -37,13 +37,13 @@ class Tally:
     def __init__(self, shape: tuple[int, ...], gamma: float) -> None:
         self._gamma = gamma
         self.actions, self.helped, self.executed = np.zeros((3, *shape), dtype=np.int64)
-        self.costs, self.discounted = np.zeros(shape), np.zeros(shape[0])
+        self.costs, self.discounted_return = np.zeros(shape), np.zeros(shape[0])
         self.moves, self.steps, self.questions = np.zeros((3, shape[0]), dtype=np.int64)
 
     def add(self, step: int, taken: StepTaken) -> None:
         """Add a step to the records."""
         sent = taken.sent
-        self.discounted += self._gamma**step * taken.reward.sum(axis=1)
+        self.discounted_return += self._gamma**step * taken.reward.sum(axis=1)
         self.actions += taken.slot != NOTHING
         self.costs += taken.cost
         self.steps[taken.now.running] += 1
@@ -122,7 +122,7 @@ class Simulation:
             sigma=np.array([human.sigma for human in pool.people])[people], actions=tally.actions, costs=tally.costs,
             finished=finished, helped=tally.helped, executed=tally.executed,
             interventions=tally.helped.sum(axis=1), moves=tally.moves, steps=tally.steps,
-            discounted_return=tally.discounted,
+            discounted_return=tally.discounted_return,
             cut_off=np.asarray((~finished & (wanted.presence.leaves > pool.setting.max_steps)).any(axis=1)),
             questions=None if questions is None else tally.questions,
             pruned=None if engine.beliefs.sees_states else engine.beliefs.pruned.reshape(people.shape).sum(axis=1),

@@ -3,8 +3,8 @@ from .index_policy import IndexPolicy as IndexPolicy
 from .joint_optimum import JointOptimum as JointOptimum
 from .joint_optimum import joint_optimum as joint_optimum
 from .policies import policy as policy
-from .price_bound import BoundOptions as BoundOptions
 from .price_bound import PriceBound as PriceBound
+from .price_bound import PriceOptions as PriceOptions
 from .price_bound import bound as bound
 from .rollout import RolloutOptions as RolloutOptions
 from .rollout import RolloutPolicy as RolloutPolicy

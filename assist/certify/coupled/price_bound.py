@@ -47,7 +47,7 @@ from .agents import Agents, Floats, units
 
 
 @dataclass(frozen=True)
-class BoundOptions:
+class PriceOptions:
     """Effort of the search for prices.
 
     Attributes
@@ -134,7 +134,7 @@ def free_values(agents: Agents) -> Floats:
 
 def bound(
     agents: Agents, resources: float, *, window: int | None = None, prices: Floats | None = None,
-    options: BoundOptions = BoundOptions(), time_limit: float | None = None,
+    options: PriceOptions = PriceOptions(), time_limit: float | None = None,
 ) -> PriceBound:  # fmt: skip
     """Return the Lagrangian bound at optimised prices, one per step.
 
@@ -150,7 +150,7 @@ def bound(
         Number of steps with prices. Default: `options.first_window`, doubled while the last prices are positive.
     prices : float array, shape (W,), optional
         Prices to use as they are, 0 or more.
-    options : BoundOptions
+    options : PriceOptions
     time_limit : float, optional
         Seconds after which prices are not improved any more. The bound is that at the best ones so far.
 
@@ -252,7 +252,7 @@ def _bound_at(agents: Agents, limit: float, prices: Floats, tail: Floats) -> Pri
 
 
 def _optimised(
-    agents: Agents, limit: float, prices: Floats, tail: Floats, options: BoundOptions, heats: tuple[float, ...],
+    agents: Agents, limit: float, prices: Floats, tail: Floats, options: PriceOptions, heats: tuple[float, ...],
     scale: float, ends: Deadline,
 ) -> Floats:  # fmt: skip
     """Return prices that minimise the smoothed bound, at each temperature from the result of the one before.
