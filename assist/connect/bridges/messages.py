@@ -17,6 +17,8 @@ from typing import Annotated, Any, Self
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
+from planner.system.errors import expected as meant
+
 from ...declare import tables as toml
 from ...declare.declared import DeclarationError, Expected, Place, Text, declared, spelt
 from ...declare.refusals import Refusal
@@ -223,6 +225,8 @@ class Report:
         """
         if self.fault is not None:
             raise unusable(self.fault)
+        if self.kind not in kinds(OfPerson):
+            raise unusable(f"event {self.kind[:40]!r}; {meant(self.kind, kinds(OfPerson))}")
         kind: type[OfPerson] = kinds(OfPerson)[self.kind]
         given: dict[str, Any] = {**self.values, "person": self.person, "id": self.id}
         try:
@@ -271,7 +275,7 @@ def _pattern(text: Any) -> re.Pattern[str]:
 
 def _event(kind: str) -> str:
     if kind not in kinds(OfPerson):
-        raise ValueError(f"{kind!r}; expected one of {', '.join(kinds(OfPerson))}")
+        raise ValueError(f"{kind!r}; {meant(kind, kinds(OfPerson))}")
     return kind
 
 

@@ -187,6 +187,13 @@ def test_any_payload_is_read_or_refused(payload: bytes) -> None:
         source.report(source.fields("line/ann", payload), {})
 
 
+@pytest.mark.cases
+def test_a_report_of_no_kind_of_event_is_refused() -> None:
+    """The next reports of the person would have waited for ever."""
+    with pytest.raises(Refusal, match=r"^event 'undon'; did you mean 'undone'\?$"):
+        Report("ann", "1", "undon").event()
+
+
 def test_fields_of_payloads() -> None:
     assert fields_of(b'{"a": "x", "b": 7, "c": true, "d": [1], "e": null, "f": 1.5}') == {
         "a": "x",
