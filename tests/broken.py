@@ -18,6 +18,7 @@ import numpy as np
 from click.testing import CliRunner
 
 from assist.cli import main
+from assist.declare.options import Value, Written
 
 ROOT = Path(__file__).parent.parent
 KITTING = ROOT / "domains" / "kitting"
@@ -224,7 +225,8 @@ class Fuzzer:
         numeric = [
             option
             for option in found.params
-            if isinstance(option, click.Option) and isinstance(option.type, click.types._NumberParamTypeBase)
+            if isinstance(option, click.Option) and isinstance(option.type, (Value, Written))
+            if option.metavar not in ("FILE", "RULE")
         ]
         option = self._one(numeric)
         values = [self._one(NUMBERS) for _ in range(option.nargs)]

@@ -26,7 +26,7 @@ JOURNAL = Path("session") / "journal.sqlite"
 STEPS = 6
 
 
-def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) -> None:
+def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None], *_: object) -> None:
     """Replace `assist.web.server.serve`: each person acts a few times, pages are drawn, and the session ends."""
     from assist.live.events import Acted, Began, Joined, Left
     from assist.web.task_drawings import Pictures

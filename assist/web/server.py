@@ -76,11 +76,11 @@ def listen(host: str, port: int, *, otherwise: int | None = None, unread: float 
     return listening
 
 
-def address(listening: socket.socket) -> str:
-    """Return the address with which all links to a service begin."""
+def address(listening: socket.socket, *, here: bool = False) -> str:
+    """Return the address with which all links to a service begin, or that for programs on this machine (`here`)."""
     host, port = listening.getsockname()[:2]
-    if host in ("0.0.0.0", "::"):  # all networks: clients need the name of this machine
-        host = socket.gethostname()
+    if host in ("0.0.0.0", "::"):  # all networks: clients elsewhere need the name of this machine
+        host = ("127.0.0.1" if host == "0.0.0.0" else "::1") if here else socket.gethostname()
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
@@ -310,7 +310,7 @@ async def _serve(
     service = Service(session, access, texts=catalogue(plan.setting.language))
     service.simulated = frozenset(plan.simulated)
     app = make_app(service, trusted_proxies=plan.trusted_proxies)
-    bridge = None if beside is None else beside(f"{_local(listening)}/operator#{access.operator}")
+    bridge = None if beside is None else beside(f"{address(listening, here=True)}/operator#{access.operator}")
     others = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))
     if bridge is not None:
         service.bridges[bridge.name] = bridge
@@ -336,13 +336,6 @@ async def _reload(service: Service) -> None:
         log.info("reloaded", extra={"changes": len((await service.reload()).events)})
     except Exception as error:  # noqa: BLE001 a faulty file is no reason to end
         log.error("the configuration is not reloaded: %s", error)
-
-
-def _local(listening: socket.socket) -> str:
-    """Return the address at which programs on this machine reach a service."""
-    host, port = listening.getsockname()[:2]
-    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
 async def _both(seats: Coroutine[Any, Any, None], bridge: Bridge) -> None:
