@@ -149,11 +149,11 @@ def test_a_recorded_log_is_fitted(files: Instance, trace: list[dict[str, Any]], 
 
 
 def test_one_persons_policy_and_the_bound_of_a_team(files: Instance) -> None:
-    policy = json.loads(invoke("policy", files.problem, "--time-limit", 1, "--c-suggest", 0.1, "--json").stdout)
+    policy = json.loads(invoke("policy", files.problem, "--gap", 0.01, "--c-suggest", 0.1, "--json").stdout)
     assert policy["value_never"] <= policy["lower"] <= policy["upper"] <= -5.1 * 0.98  # at best 2.5, 2.5, 0.1
     bound = json.loads(invoke(
         "bound", files.problem, "--humans", 2, "--policy", "attention", "--c-suggest", 0.1, "--value-episodes", 30,
-        "--time-limit", 2, "--json",
+        "--gap", 0.01, "--json",
     ).stdout)  # fmt: skip
     assert bound["value"] - 4 * bound["value_stderr"] <= bound["upper"] <= 2 * -5.1 * 0.98
 

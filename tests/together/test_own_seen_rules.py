@@ -83,7 +83,7 @@ def test_a_rule_in_a_file_is_the_same_as_the_object(own: Path) -> None:
     episodes = [simulate(pool, "attention", humans=3, episodes=30, seed=0) for pool in pools]
     assert np.array_equal(episodes[0].discounted_return, episodes[1].discounted_return)
     assert not np.array_equal(episodes[0].discounted_return, episodes[2].discounted_return)
-    bounds = [upper_bound(pool, gap=0.2, time_limit=1.0).upper for pool in pools[:2]]
+    bounds = [upper_bound(pool, (0, 1), gap=0.5, window=2).upper for pool in pools[:2]]
     assert bounds[0] == bounds[1]
     checked = assist.check(f"{own}:Contagion")
     assert (checked.kind, checked.faults, len(checked.trials)) == ("neighbours", (), 3)
@@ -172,8 +172,8 @@ def test_an_impossible_rule_is_refused_where_it_is_given(given: Any, said: str) 
 
 def test_a_rule_of_ones_own_is_taken_unchanged_in_estimates() -> None:
     given, log = setting(Contagion(), trust="constant", knowledge="exact", c_move=0.0), list[Any]()
-    pool = Pool.sample(TINY, 6, seed=0, setting=given)
-    _ = simulate(pool, "attention-outlook", humans=3, episodes=16, seed=0, trace=log)
+    pool = Pool.sample(TINY, 4, seed=0, setting=given)
+    _ = simulate(pool, "attention-outlook", humans=3, episodes=8, seed=0, trace=log)
     seen, method = replayed(TINY, log), Method(neighbours=given.neighbours)
     fit = fit_influence(seen, "constant", method, carry=False)
     assert (fit.rule, fit.intervals, fit.parameters) == ("constant, neighbours Contagion", {}, {"rate": 0.3})

@@ -614,7 +614,7 @@ def test_numbers_go_on_after_the_service_has_started_again(broker: Broker, tmp_p
                 await client.publish("line/ann/action", json.dumps(report), qos=1)
                 answer: dict[str, Any] = {}
                 while answer.get("id") != str(number):  # first comes the last one of before, which the broker keeps
-                    answer = json.loads((await asyncio.wait_for(anext(client.messages), 5)).payload)
+                    answer = json.loads((await anext(client.messages)).payload)
                 assert (answer["status"], answer["next"]) == ("recorded", number + 1)
 
         here.run(file, work)

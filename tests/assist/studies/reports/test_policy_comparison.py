@@ -64,7 +64,7 @@ def test_that_no_suggestion_was_worth_its_cost_is_said_after_several_portions(po
     dear = pool.under(replace(pool.setting, c_suggest=100.0))
     found = compare(dear, ["none", "attention"], **options)
     assert len(found.notes()) == 1
-    assert compare(dear, ["none", "attention"], time_limit=60.0, **options) == found
+    assert compare(dear, ["none", "attention"], time_limit=3600.0, **options) == found
     mixed = [replace(simulate(pool, "none", **options), c_suggest_too_high=cost) for cost in (100.0, None)]
     assert Episodes.joined(mixed).c_suggest_too_high is None
 
