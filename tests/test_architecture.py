@@ -51,7 +51,7 @@ ROOMS = {
         goal_knowledge trace episodes beginning requested traced_run run memory_trial simulate
         belief_trace illustration""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion path_search sampled_bound",
-    "assist.certify": """options action_prices envelope priced_steps prices certificate visited_beliefs
+    "assist.certify": """options action_prices envelope priced_steps prices certificate
         computation truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.certify.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",

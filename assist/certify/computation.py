@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from threading import Event
+from typing import TypeAlias
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from planner.system.progress import Progress, adding
 from planner.system.threads import on_threads
 
 from ..people.arguments import positive, require_options, whole
-from ..people.decision import Floats
+from ..people.decision import Floats, Ints
 from ..person.attention_subproblem import AttentionSubproblem
 from ..person.memory_needed import MEMORY_LIMIT_MB, depth_within
 from ..person.policy import Policy
@@ -34,7 +35,9 @@ from .action_prices import paid
 from .options import BoundOptions, Effort
 from .priced_steps import window_of
 from .prices import PersonBound, SubproblemGroup, groups_of, search
-from .visited_beliefs import BeliefRecorder
+
+Visited: TypeAlias = Callable[[tuple[int, ...], AttentionSubproblem], tuple[Ints, Floats]]
+"""Returns states and beliefs that people at some places of a team visit in their subproblem."""
 
 
 class InterruptedBound(KeyboardInterrupt):
@@ -199,7 +202,7 @@ class Computation:
         )  # fmt: skip
 
     def relaxed(
-        self, groups: list[SubproblemGroup], price: Floats, until: float, recorder: BeliefRecorder | None
+        self, groups: list[SubproblemGroup], price: Floats, until: float, visited: Visited | None
     ) -> Relaxation:
         """Return the relaxation at these prices, with bounds computed by a time on the clock.
 
@@ -219,8 +222,8 @@ class Computation:
             group = groups[number]
             visits = group.at(price)
             best, memory = group.best(visits), self.memory_limit_mb
-            options = None if recorder is None else SolverOptions(
-                depth=depth_within(visits.pomdp, memory), further_beliefs=recorder.of(group.places, visits)
+            options = None if visited is None else SolverOptions(
+                depth=depth_within(visits.pomdp, memory), further_beliefs=visited(group.places, visits)
             )  # fmt: skip
             still = math.ceil((len(groups) - number) / self.workers)  # rounds that remain, including this one
             share = (until - time.perf_counter()) / still

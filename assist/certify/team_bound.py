@@ -204,11 +204,11 @@ def upper_bound(
         pool.choices(members[0]).require_one_goal("the bound from sample paths")
     require_envelope(pool, members, paths)
     together, groups, price = truncated_prices(run, window) if run.needs_outer else run.prices(window)
-    recorder = sample_paths.recorder(run, groups, price, together) if run.paths and not run.needs_outer else None
-    relaxed, sampled = run.relaxed(groups, price, run.start + run.for_people, recorder), None
+    visited = sample_paths.visited(run, groups, price, together) if run.paths and not run.needs_outer else None
+    relaxed, sampled = run.relaxed(groups, price, run.start + run.for_people, visited), None
     try:
         if run.paths and pool.setting.fleet.scarce_for(len(members)):
-            relaxed = sample_paths.without_prices(run, relaxed, recorder)
+            relaxed = sample_paths.without_prices(run, relaxed, visited)
             sampled = sample_paths.sampled(run, relaxed, together)
     except KeyboardInterrupt as error:
         raise InterruptedBound(relaxed.upper, len(members), len(members), error) from error

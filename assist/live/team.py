@@ -21,7 +21,7 @@ from planner import CostToGo
 
 from ..declare.refusals import AbsentError, Refusal
 from ..people.decision import Floats
-from ..people.goals import Goals, require_one_goal
+from ..people.goals import Goals, require_possible_terms
 from ..people.ranges import Population
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
@@ -73,7 +73,7 @@ class Team(History[TeamRecord]):
         if like is not None:
             self.desk.share(like.desk)
         for task in self.tasks.values():
-            require_one_goal(task, self.desk.population.weights)  # at once, and not when somebody begins the task
+            require_possible_terms(task, self.desk.population.weights)  # at once, and not when somebody begins the task
         self._nothing = (IDLE,) * len(self.desk.setting.robots)
         self._advices = self._nothing
         self._known: dict[str, PersonState] = {}

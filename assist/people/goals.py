@@ -76,7 +76,7 @@ def text_of_goals(task: object) -> str:
     return f"{''.join(each)}{'likeliest' * task.assume_likeliest} {task.sharpness}"
 
 
-def require_one_goal(task: Any, terms: Collection[str]) -> None:
+def require_possible_terms(task: Any, terms: Collection[str]) -> None:
     """Check that people who pursue one of several goals have no terms, which are about the goal.
 
     Raises

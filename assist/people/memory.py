@@ -17,7 +17,7 @@ from planner import LimitError, Table
 
 from .choices import Choices
 from .decision import Floats
-from .goals import Goals, first_of, require_one_goal
+from .goals import Goals, first_of, require_possible_terms
 from .hidden_type import Ints
 from .terms import NOTHING_YET, TERMS, Situation, Term, Vocabulary, features, goals_met
 
@@ -91,7 +91,7 @@ def choices_of(table: Table | Choices | Goals, names: Iterable[str] = ()) -> Cho
         The choices would exceed the memory limit.
     """
     names = tuple(dict.fromkeys(names))
-    require_one_goal(table, names)
+    require_possible_terms(table, names)
     if isinstance(table, Goals):
         if not names:
             return table.choices()

@@ -18,7 +18,7 @@ from planner import CostToGo, Transitions
 
 from .choices import Choices
 from .decision import Bools, Floats
-from .goals import Goals, first_of, require_one_goal
+from .goals import Goals, first_of, require_possible_terms
 from .hidden_type import Ints
 from .terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 
@@ -32,7 +32,7 @@ def on_demand(task: CostToGo | Goals, names: Iterable[str]) -> CostToGo | Goals:
         People with terms pursue one of several goals.
     """
     names = tuple(names)
-    require_one_goal(task, names)
+    require_possible_terms(task, names)
     return Remembering(first_of(task), names) if names else task
 
 
