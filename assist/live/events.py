@@ -388,4 +388,4 @@ class Unwitnessed(Kept):
 
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
         """Believe of those who saw it what would be believed without it."""
-        desk.seen.take_back(desk.entry(self.person), self.number)
+        desk.seen.take_back(self.number)

@@ -6,7 +6,6 @@ back from those who saw it; what these saw in a task that they have finished sta
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,22 +143,20 @@ class SeenSuggestions:
 
     def shown_last(self, record: RosterEntry) -> int | None:
         """Return the number of the event of a person's last action, if somebody has seen it in their present task."""
-        last = record.order[-1] if record.steps else None
-        return last if any(self._who_saw(record, last)) else None
+        last = record.order[-1] if record.steps else -1
+        return last if self._who_saw(last) else None
 
-    def take_back(self, record: RosterEntry, number: int) -> None:
-        """Let nobody have seen what they saw of a person by an event."""
-        for other in self._who_saw(record, number):
-            other.news[:] = [one for one in other.news if not _is_of(one, record, number)]
+    def take_back(self, number: int) -> None:
+        """Let nobody have seen what they saw by an event."""
+        for other in self._who_saw(number):
+            other.news[:] = [one for one in other.news if not _is_of(one, number)]
             believe_again(self._team, other, self._setting, offer=other.offer)
 
-    def _who_saw(self, record: RosterEntry, number: int | None) -> Iterator[RosterEntry]:
-        """Yield those who have seen an event of a person in their present task."""
-        for other in self._team.records:
-            if any(_is_of(one, record, number) for one in other.news):
-                yield other
+    def _who_saw(self, number: int) -> list[RosterEntry]:
+        """Return those who have seen something in their present task by an event."""
+        return [other for other in self._team.records if any(_is_of(one, number) for one in other.news)]
 
 
-def _is_of(news: News, record: RosterEntry, number: int | None) -> bool:
-    """Return whether it is what somebody saw of a person by an event."""
-    return isinstance(news, Saw) and (news.neighbour, news.number) == (record.name, number)
+def _is_of(news: News, number: int) -> bool:
+    """Return whether it was seen by the event of this number."""
+    return isinstance(news, Saw) and news.number == number
