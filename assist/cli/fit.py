@@ -13,7 +13,7 @@ from .options.common import OUTPUT_FILE, apart, figures_option, json_option, out
 from .options.goals import goals_option
 from .options.help import command
 from .options.log import ReadingOptions, TaskLog, method_of, reading_options, task_log_options, with_goals, with_task
-from .options.population import RATES, choice_model_of
+from .options.population import RATES
 from .options.settings import OF_INFLUENCE, EstimateSetting
 from .options.trust import AdviceOptions, advice_of, advice_options, influence_option
 from .output.people_estimates import FitFiles, learned, show_people
@@ -96,7 +96,7 @@ def fit(
         separate_files({"--out": files.out, "--write-population": files.population}, inputs)
         if files.figures:
             style.require()
-        chooses = choice_model_of(setting.chooses)
+        chooses = setting.chooses
         if what.problems:
             seen = with_goals([str(log.instance), *what.problems], file, log.domain, reading, setting)
         else:

@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner import task_of
 from planner.system.errors import MissingExtraError
 
+from ..drawing.picture import Artist
 from ..people.choices import Choices
 from ..people.decision import Floats
 from ..people.goals import Goals
@@ -28,7 +30,7 @@ from ..team.beginning import World
 from ..team.common_random_numbers import CommonRandomNumbers
 from ..team.pool import Pool
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
-from .rendering import EnvironmentPicture
+from .rendering import draw_team
 from .teams import PoolSource, Sight, Teams
 
 if TYPE_CHECKING:
@@ -200,7 +202,7 @@ class TeamEnv(gymnasium.Env):
         self._episode = -1
         self._draws: CommonRandomNumbers | None = None
         self._seen: list[tuple[int, str]] = []
-        self._stage: EnvironmentPicture | None = None
+        self._artist: Artist | None = None
 
     @property
     def pool(self) -> Pool:
@@ -317,15 +319,15 @@ class TeamEnv(gymnasium.Env):
         """
         if self.render_mode is None:
             return None
-        if self._stage is None:
+        if self._artist is None:
             task = self._instance.known if isinstance(self._instance, Pool) else self._instance
             if task is None or isinstance(task, Choices | Goals):
                 raise TypeError("render: expected an environment of one task, and this pool has none to draw")
-            self._stage = EnvironmentPicture(task)
+            self._artist = Artist(task_of(task))
         teams = self._desk.teams
         there = np.where(teams.ready()[0], teams.location[0], BASE).tolist()
-        return self._stage.draw(
-            self._seen, teams.finished[0], there, int(teams.clock[0]), as_svg=self.render_mode == "svg"
+        return draw_team(
+            self._artist, self._seen, teams.finished[0], there, int(teams.clock[0]), as_svg=self.render_mode == "svg"
         )
 
 

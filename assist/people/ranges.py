@@ -48,6 +48,11 @@ def _chooses(given: Any) -> Any:
     return given
 
 
+OwnModel = Annotated[
+    Callable[..., Any] | None, PlainValidator(_chooses), Beside(function_beside), Expected("FILE.py:FUNCTION")
+]
+"""A choice model of the user's own, or the text FILE.py:FUNCTION."""
+
 POSITIVE = Expected(f"two numbers, 0 <= low <= high <= {MOST:g}")
 Weight = Annotated[Span, _ordered(-MOST, MOST), Expected(f"two numbers, -{MOST:g} <= low <= high <= {MOST:g}")]
 
@@ -83,10 +88,7 @@ class Population:
         dict[str, Weight], Field(description="Range of each term's weight, by its name; other terms have weight 0.")
     ] = field(default_factory=dict, hash=False)
     chooses: Annotated[
-        Callable[..., Any] | None,
-        PlainValidator(_chooses),
-        Beside(function_beside),
-        Expected("FILE.py:FUNCTION"),
+        OwnModel,
         Field(description="Your own choice model FILE.py:FUNCTION, in place of cost-to-go and terms."),
     ] = None
     parts: Annotated[

@@ -1,22 +1,16 @@
-"""The trust rule of a population file, and choice models of users."""
+"""The trust rule of a population file."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
 from ...declare.options import Given
-from ...people import user_code
 from ...person.settings import Setting
-from ..terminal.console import usage_errors
-from .policies import policy_errors
 from .settings import record_of
-
-if TYPE_CHECKING:
-    from ...people.choice_model import ChoiceModel
 
 S = TypeVar("S", bound=Setting)
 
@@ -58,17 +52,3 @@ def chosen_setting(kind: type[S], setting: Setting, given: Given[Any], *, rate: 
     if isinstance(rule, EquationSeven):
         return replace(chosen, trust="paper", eta=rule.eta, utility_scale=rule.utility_scale)
     return replace(chosen, trust=rule)
-
-
-def choice_model_of(people: str | None) -> ChoiceModel | None:
-    """Return the choice model FILE.py:FUNCTION of a user. Expected errors end the command in one line."""
-    with policy_errors(), usage_errors(user_code.UserCodeError):
-        return None if people is None else choice_model(people)
-
-
-def choice_model(people: str) -> ChoiceModel:
-    """Return the choice model FILE.py:FUNCTION of a user."""
-    place = user_code.parse(people)
-    if place is None:
-        raise ValueError(f"chooses: '{people}'; expected FILE.py:FUNCTION")
-    return user_code.UserChoiceModel.load(*place)

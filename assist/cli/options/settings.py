@@ -26,9 +26,8 @@ from ...declare.declared import (
 )
 from ...learning.method import Method
 from ...live.live_setting import LiveSetting
-from ...people.ranges import Population
+from ...people.ranges import OwnModel, Population
 from ...people.real_people import advice_takers
-from ...people.user_code import function_beside
 from ...person.settings import Setting
 from .common import Megabytes
 
@@ -228,9 +227,7 @@ class EstimateSetting(Method, ReadingSetting):
         ),
     ] = "own"
     chooses: Annotated[
-        Text | None,
-        Beside(function_beside),
-        Expected("FILE.py:FUNCTION"),
+        OwnModel,
         Field(description="Your own choice model FILE.py:FUNCTION, in place of choice by cost-to-go."),
     ] = None
     goal_prior: Prior = field(default_factory=dict, hash=False)

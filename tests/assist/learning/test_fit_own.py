@@ -133,7 +133,7 @@ def test_fit_takes_a_function_of_the_users_own(tmp_path: Path) -> None:
         assert found.exit_code == 0
         assert [one["beta"] for one in json.loads(found.stdout)] == [people[name].beta for name in people]
     for people_option, more, code, message in (
-        ("other", (), 1, "has no function 'other'"),
+        ("other", (), 2, "has no function 'other'"),
         ("wrong", (), 1, "gives an array of shape ("),
         ("broken", (), 1, "mine.py:13: NameError"),
         ("mine", ("--terms",), 2, "--terms and chooses: expected one of them"),

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke, kit
+from conftest import KITTING, ROOT, invoke, kit
 from recorded import write_log
 
 from assist.declare import plain
@@ -428,7 +428,10 @@ def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
         ("--influence constant --set eta=0.1", "--set eta has no effect with --influence constant"),
         ("--influence outcome --set utility_scale=2", "--set utility_scale has no effect with --influence outcome"),
         (f"--goals {TINY} --set seed=1", "--set seed has no effect with --goals"),
-        ("--set chooses=people.py:mine --set seed=1", "--set seed has no effect with chooses"),
+        (
+            f"--set chooses={ROOT}/docs/examples/short_sighted.py:short_sighted --set seed=1",
+            "--set seed has no effect with chooses",
+        ),
         ("--advice LOG --influence constant --set level=0.9", "--set level has no effect with --advice"),
         ("--family uniform", "--family: expected a log of 3 people or more, or --write-population"),
         ("INSTANCE ALONE", "expected INSTANCE and LOG, or --advice"),
