@@ -57,9 +57,10 @@ COMPARED = {
 }  # fmt: skip
 RECOVERED = {
     "people": cell("people"), "suggestions to each": cell("suggestions", ".0f"), "seen by each": cell("seen", ".0f"),
-    "true eta_seen": cell("true", "g"), "populations": cell("populations"), "mean estimate": cell("mean", ".3f"),
-    "standard deviation": cell("sd", ".3f"), "95 % intervals that hold it (%)": cell("inside", ".0f"),
-    "that exclude 0 (%)": cell("found", ".0f"), "rule rightly chosen (%)": cell("chosen", ".0f"),
+    "sigma": cell("sigma", "g"), "true eta_seen": cell("true", "g"), "populations": cell("populations"),
+    "mean estimate": cell("mean", ".3f"), "standard deviation": cell("sd", ".3f"),
+    "95 % intervals that hold it (%)": cell("inside", ".0f"), "that exclude 0 (%)": cell("found", ".0f"),
+    "rule rightly chosen (%)": cell("chosen", ".0f"),
 }  # fmt: skip
 
 
@@ -225,30 +226,34 @@ class ToAnybody:
 @click.option("--people", "sizes", type=int, multiple=True, default=(10, 30, 100), show_default=True)
 @click.option("--tasks", "counts", type=int, multiple=True, default=(2, 8), show_default=True, help="Of each person.")
 @click.option("--rate", "rates", type=float, multiple=True, default=(0.1,), show_default=True)
+@click.option("--sigma", type=float, default=0.0, show_default=True, help="By how much people misjudge costs.")
 @record_option
 @more_option
 def recovery(
     populations: int, instance: str, sizes: tuple[int, ...], counts: tuple[int, ...], rates: tuple[float, ...],
-    record: Path | None, more: bool,
+    sigma: float, record: Path | None, more: bool,
 ) -> None:  # fmt: skip
-    """Fit the rate to logs of simulated teams of three in a row."""
+    """Fit the rate to logs of simulated teams of three who all see each other."""
     task, rows = sweep(load(instance)), []
     for rate in rates:
         for people in sizes:
             for tasks in counts:
-                rows.append({"true": rate, "people": people, "populations": populations}
-                            | _recovered(task, rate, people, tasks, populations))  # fmt: skip
+                rows.append({"true": rate, "sigma": sigma, "people": people, "populations": populations}
+                            | _recovered(task, rate, sigma, people, tasks, populations))  # fmt: skip
                 click.echo("  ".join(show(rows[-1]) for show in RECOVERED.values()))
     write_record(record, RECOVERED, rows, more=more)
 
 
-def _recovered(task: Any, rate: float, people: int, tasks: int, populations: int) -> dict[str, Any]:
+def _recovered(
+    task: Any, rate: float, sigma: float, people: int, tasks: int, populations: int
+) -> dict[str, Any]:  # fmt: skip
     """Return how well a rate is found again from the logs of some populations."""
     neighbours = Neighbours(rule=SeenOutcome(rate), sees="everybody")
     setting = Setting(
         c_suggest=0.0, c_move=0.0, knowledge="exact", trust="constant", max_steps=60, neighbours=neighbours
     )
-    population, families = Population(beta=(0.3, 2.0), theta=(0.3, 0.9), sigma=(0.0, 0.0)), seen_families(constant())
+    population = Population(beta=(0.3, 2.0), theta=(0.3, 0.9), sigma=(sigma, sigma))
+    families = seen_families(constant())
     estimates, inside, found, chosen, told, saw = ([] for _ in range(6))
     for number in range(populations):
         pool, trace = Pool.sample(task, people, seed=number, setting=setting, population=population), Trace()
