@@ -39,6 +39,7 @@ from assist.studies import Study, read
 from assist.studies.reports import study_report
 from assist.team.pool import Pool
 from planner import Instance, Limits, PDDLError, Table, find_instances, load, sweep
+from planner.costtogo.number_values import TRIAL_SECONDS
 from planner.grounding import fast_downward
 from planner.pddl import reader, writer
 from planner.pddl.validation import parsed
@@ -191,20 +192,24 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def the_same_texts_are_grounded_once(shared_folder: Path) -> Iterator[None]:
-    """Ground equal texts once, and start the translator once, unless limits are given, since its start takes time."""
+    """Ground equal texts once, and start the translator once, since its start takes time.
+
+    Where limits are given, they hold; a limit that all trials of values have is above what these texts take.
+    """
     translate, run = fast_downward.translate, fast_downward._run
     translator: list[Translator] = []
     program = python("fast_downward.translate")
+    usual = NO_LIMITS, Limits(processor_seconds=TRIAL_SECONDS)
 
     def started_once(command: list[str], folder: str, text: str | None, limits: Limits) -> tuple[int, str]:
-        if command[: len(program)] != program or limits != NO_LIMITS:
+        if command[: len(program)] != program or limits not in usual:
             return run(command, folder, text, limits)
         if not translator:
             translator.append(Translator())
         return translator[0].run(command[len(program) :], folder) or run(command, folder, text, limits)
 
     def once(reading: reader.Reading, limits: Limits = NO_LIMITS) -> str:
-        if limits != NO_LIMITS:
+        if limits not in usual:
             return translate(reading, limits)
         texts = json.dumps([writer.domain(reading), writer.problem(reading)])
         grounded = shared_folder / f"{hashlib.sha256(texts.encode()).hexdigest()}.sas"
