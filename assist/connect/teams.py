@@ -154,7 +154,7 @@ class Teams:
     @property
     def row(self) -> Ints:
         """The row of each person who has not finished in the problem of their policy, shape (N, K)."""
-        self.engine.now  # noqa: B018  # renews the rows
+        self.engine.begin_step()  # which renews the rows
         return self.engine.people.row
 
     def draw_from(self, draws: CommonRandomNumbers) -> None:

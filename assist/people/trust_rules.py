@@ -11,10 +11,10 @@ sentence of its docstring, and a field with the mark `Fitted` is estimated from 
 
 A rule is a deterministic map of theta and an `Event`. The robot's problem of one person evaluates it at its grid of
 theta, and a simulation at the people's own values, so that there is one definition of each rule. Only equation (7), the
-default, is written a second time, in `person.dynamics`, for speed; tests compare the two. Where a rule has an
-attribute `counts`, the number of outcomes that a person has seen is part of the map, up to that number.
-`perceived_suggestions.moved` applies a rule: simulations, live people and estimates call it at people's own theta, and
-`person.trust_shares` at the grid's, for the filter, the solvers and the bounds.
+default, is also written in `decision.trust`, and in `person.dynamics` and `influence_kernels` for speed; tests compare
+them. Where a rule has an attribute `counts`, the number of outcomes that a person has seen is part of the map, up to
+that number. `perceived_suggestions.moved` applies a rule: simulations, live people and estimates call it at people's
+own theta, and `person.trust_shares` at the grid's, for the filter, the solvers and the bounds.
 """
 
 from __future__ import annotations

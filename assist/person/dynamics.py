@@ -1,5 +1,7 @@
 """One step of many people: their choices, their tasks and their trust.
 
+The robot acts first, then everyone (equation 3): people choose in the state after an execution.
+
 Equations (6) and (7) are written here once more, for arrays of people; tests compare them with
 `assist.people.decision`. Equation (5) is in `Minds.p`. `act_compiled` (`dynamics_kernel`) gives the same bits as
 `act_readable`; `act` calls the readable one first. Other trust rules move theta in `team.trust_of_people`. What the

@@ -18,11 +18,11 @@ class PeopleArrays(NamedTuple):
     Attributes
     ----------
     x : int array, shape (N,)
-        Task state.
+        Row.
     heard : int array, shape (N,)
         The robot action that the person heard; 0 is nothing.
     who : int array, shape (N,)
-        Row of `Minds` with the person's choices; it tells their goal, too.
+        Number of the person in `Minds`, which has their choices; it tells their goal, too.
     theta : float array, shape (N,)
     outcomes : int array, shape (N,)
         Number of outcomes of suggestions that the person has seen, if the trust rule counts them.

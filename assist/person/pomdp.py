@@ -194,7 +194,7 @@ class AssistPOMDP:
         Parameters
         ----------
         x, action, slot : int arrays, shape (N,)
-            Task state, robot action (0: nothing), and slot of the person's choice.
+            Row, robot action (0: nothing), and slot of the person's choice.
         """
         suggestion, acting = self.suggested[x, action], self.afterstate[x, action]
         p = self.chosen[acting, slot][:, :, None]

@@ -30,7 +30,7 @@ class Acts(NamedTuple):
     Attributes
     ----------
     x : int array, shape (m,)
-        State before the robot's action.
+        Row before the step: at their time, `x` of people and beliefs is the row after it.
     heard : int array, shape (m,)
         The robot action that the person heard, in that state; 0 is nothing.
     slot : int array, shape (m,)

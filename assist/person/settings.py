@@ -130,7 +130,8 @@ class Setting(OfRobots):
         Field(
             ge=0,
             le=MOST,
-            description="Cost of asking a person for the goal or, live, the last action; unless given, none is asked.",
+            description="Cost of asking a person for the goal or, live, the last action; unless given, or by a policy "
+            "that uses no belief, none is asked.",
         ),
     ] = None
     ask_error: Annotated[

@@ -9,11 +9,15 @@ An `Engine` joins four parts:
 
 A step has this order:
 
-1. `ask`: at most one person of each team is asked. The answer comes at once and changes the belief.
-2. `state`: what policies receive. A policy chooses an action.
-3. `step`: the robots are sent, and speak. Everybody at work acts once: choices depend on the theta before the step,
-   then theta moves. Beliefs follow what was seen (`Beliefs.observe`). Then theta and the beliefs move by what people
-   saw of each other (`seen.let_see`).
+1. `begin_step`: who is at work is found, and each person's row.
+2. `ask`: at most one person of each team is asked. The answer comes at once and changes the belief
+   (`Beliefs.answered`).
+3. `state`: what policies receive. If the robots assume the likeliest goal (`acted_on`), this has other beliefs than
+   those that are kept. A policy chooses an action.
+4. `step`: the robots are sent, make room or stay, and speak. Everybody at work acts once: choices depend on the theta
+   before the step, then theta moves. Beliefs follow what was seen (`Beliefs.observe`): the likelihood of the choice,
+   the move of theta, and that the goal was not reached by those who go on. Then theta and the beliefs move by what
+   people saw of each other (`seen.let_see`).
 
 `simulate` is a loop over a policy, an environment passes actions in, and a rollout is an engine on copies.
 """
@@ -131,11 +135,10 @@ class Engine:
         self._now: Now | None = None
         self._charged = np.zeros(people.situation.shape)
 
-    @property
-    def now(self) -> Now:
-        """Who is at work in the present step.
+    def begin_step(self) -> Now:
+        """Begin the step, unless it has begun, and return who is at work in it.
 
-        It is found once a step. The rows of people are renewed then, and with them the known states in `beliefs.x`.
+        The rows of people are renewed, and with them the known states in `beliefs.x`.
         """
         if self._now is None:
             them, clock = self.people, self.clock[:, None]
@@ -148,7 +151,7 @@ class Engine:
         return self._now
 
     def changed(self) -> None:
-        """Tell that somebody else has changed the people, so that `now` is another one."""
+        """Tell that somebody else has changed the people, so that the step begins anew."""
         self._now = None
 
     def leave_out(self, teams: Bools) -> None:
@@ -159,13 +162,13 @@ class Engine:
 
     def deciding(self) -> Ints:
         """Return the teams in which a robot may be sent, and somebody is at work."""
-        now = self.now
+        now = self.begin_step()
         may: Bools = np.logical_and(self.robots.ready(self.clock).any(axis=1), now.active.any(axis=1))
         return now.running[may[now.running]]
 
     def state(self, teams: Ints | None = None) -> TeamState:
         """Return what the robots know of some teams, given by their numbers, or of all: what policies act on."""
-        now, (N, K), known = self.now, self.people.situation.shape, self.beliefs
+        now, (N, K), known = self.begin_step(), self.people.situation.shape, self.beliefs
         every = slice(None) if teams is None or len(teams) == N else teams
         if every is teams:
             known = known.of((teams[:, None] * K + np.arange(K)).reshape(-1))
@@ -183,7 +186,7 @@ class Engine:
         It is called before the robots decide, so that they act on the answer in the same step. Questions are chosen on
         all that is known, with people in their most probable states. The cost is one of the present step.
         """
-        now, (N, K), found = self.now, self.people.goal.shape, list[tuple[Asked, bool]]()
+        now, (N, K), found = self.begin_step(), self.people.goal.shape, list[tuple[Asked, bool]]()
         asked = questions.of_teams(self.beliefs, now.active, self.tasks.model, self.robots.fleet)
         uniform = self._uniform(Stream.ANSWER).reshape(N, K) if questions.error else np.ones((N, K))
         for one in asked:
@@ -203,7 +206,7 @@ class Engine:
             The actions of these teams. The robots of other teams are not sent.
         teams : int array, optional
         """
-        now, them, policies = self.now, self.people, self.tasks.policies
+        now, them, policies = self.begin_step(), self.people, self.tasks.policies
         sent = self.robots.send(action, np.arange(len(self.clock)) if teams is None else teams, self.clock)
         # What is said is a robot action in the most probable state, what is heard the same one in the person's own.
         said, executes = self._carry_out(sent)
@@ -242,7 +245,7 @@ class Engine:
         policies, groups, fleet = self.tasks.policies, self.tasks.groups, self.robots.fleet
         said, executes = np.zeros_like(self.people.situation), np.zeros(len(sent.team), dtype=bool)
         if fleet.extra[:, NOTHING_DONE].any() or not all(
-            policies[n].pomdp.waits_for_free for n, _ in self.now.by_policy
+            policies[n].pomdp.waits_for_free for n, _ in self.begin_step().by_policy
         ):
             self._charge_waiting(sent)
         if not len(sent.team):
@@ -266,7 +269,7 @@ class Engine:
         waits[sent.team[busy], sent.robot[busy]] = False
         team, robot = np.nonzero(waits)
         person = robots.location[team, robot]
-        at_work = np.flatnonzero(self.now.active[team, person])
+        at_work = np.flatnonzero(self.begin_step().active[team, person])
         for number, those in by_model(tasks.model[team, person], at_work, len(tasks.policies)):
             there = team[those], person[those]
             cost = tasks.groups[number].arrays.robot_costs[x[there], 0]
@@ -275,5 +278,6 @@ class Engine:
     def _uniform(self, stream: int) -> Floats:
         """Return uniform numbers of a stream for all people, 0 in teams that do not run any more."""
         uniform = np.zeros(self.people.situation.shape)
-        uniform[self.now.running] = self.people.draws.draw(stream, self.now.running)
+        running = self.begin_step().running
+        uniform[running] = self.people.draws.draw(stream, running)
         return uniform.reshape(-1)

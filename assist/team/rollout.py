@@ -279,7 +279,7 @@ class _Paths:
         values, discount = np.zeros(self.pairs * self.samples), 1.0
         gamma = self.team.policies[0].pomdp.gamma
         for step in range(self.rollout.options.horizon):
-            if not self.engine.now.active.any():
+            if not self.engine.begin_step().active.any():
                 break
             values += discount * self._step(self.first if step == 0 else self.rollout.base(self.engine.state()))
             discount *= gamma

@@ -103,7 +103,7 @@ class Simulation:
         first_theta, tally = engine.people.theta.copy(), Tally(people.shape, pool.setting.gamma)
         questions = self.questions if uses_beliefs else None
         for step in range(pool.setting.max_steps):
-            if not len(engine.now.running) or self.over.is_set():
+            if not len(engine.begin_step().running) or self.over.is_set():
                 break
             if questions is not None:
                 asked = engine.ask(questions)

@@ -81,7 +81,7 @@ class TeamState:
     fleet : Fleet
         The M robots, whose actions may cost more than in people's problems; one without fields of its own by default.
     x : int array, shape (N, K)
-        Task state of each person, the most probable one if it is uncertain; from `beliefs`.
+        Row of each person, that of the most probable state if it is uncertain; from `beliefs`.
     erred : bool array, shape (N, K)
         Whether the person's last action was a mistake: optimal for no goal that was possible; from `beliefs`.
     belief : float array, shape (N, K, H, T), or None
