@@ -259,7 +259,7 @@ class Fuzzer:
         writer.writeheader()
         writer.writerows(rows)
         file.write_text(text.getvalue(), encoding="utf-8", errors="surrogateescape", newline="")
-        broken = whole and self._spoil_file(file) and not _is_utf8(file.read_bytes())
+        broken = whole and self._spoil_file(file) and not _is_utf8(_as_utf8(file.read_bytes()))
         arguments = [file.name if word == "log.jsonl" else word for word in ARGUMENTS["fit"]]
         return Input("logs", "fit", ("fit", *arguments), broken)
 
@@ -497,4 +497,12 @@ def _is_utf8(text: bytes) -> bool:
 
 
 def _is_json_lines(file: Path) -> bool:
-    return all(_is_json(line) for line in file.read_bytes().split(b"\n") if line.strip())
+    return all(_is_json(line) for line in _as_utf8(file.read_bytes()).split(b"\n") if line.strip())
+
+
+def _as_utf8(text: bytes) -> bytes:
+    """Return a log in UTF-8, as logs in UTF-16 and UTF-32 are read, too; unchanged what is neither."""
+    try:
+        return text.decode(json.detect_encoding(text)).encode()
+    except UnicodeError:
+        return text
