@@ -227,7 +227,7 @@ class Summary(Result):
     def records(self) -> list[dict[str, Any]]:
         """Return one row: the policy, the number of episodes, each mean with its standard error, and `cut_off`."""
         names = "actions", "costs", "interventions", "suggestions", "executions", "moves", "discounted_return"
-        means = {name: _with_error(*getattr(self, name)) for name in names}
+        means = {name: with_error(*getattr(self, name)) for name in names}
         return [{"policy": self.policy, "episodes": self.episodes, **means, "cut_off": self.cut_off}]
 
     def record(self) -> dict[str, Any]:
@@ -241,7 +241,7 @@ class Summary(Result):
 
     def __str__(self) -> str:
         shown = [
-            f"{what} {_with_error(mean, error)}"
+            f"{what} {with_error(mean, error)}"
             for what, (mean, error) in (
                 ("actions per person", self.actions), ("cost per person", self.costs),
                 ("suggestions", self.suggestions),
@@ -263,9 +263,9 @@ def with_cost(found: Episodes, fleet: Fleet, policy: TeamPolicy) -> Episodes:
     return replace(found, c_suggest_too_high=costs.pop())
 
 
-def _with_error(mean: float, error: float) -> str:
-    """Return a mean as text, with its standard error if it is known."""
-    return f"{mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
+def with_error(mean: float, error: float) -> str:
+    """Return a mean as text, with its standard error if it is known; a single episode has none."""
+    return f"{mean:.2f}" if math.isnan(error) else f"{mean:.2f} ± {error:.2f}"
 
 
 def _mean_and_error(values: NDArray[Any]) -> tuple[float, float]:

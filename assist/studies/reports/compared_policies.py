@@ -16,7 +16,7 @@ from planner.system.results import Result, html_table
 from ...learning.intervals import IntervalEstimate
 from ...people.decision import Floats
 from ...person.policy import not_worth_its_cost
-from ...team.episodes import SHOWN, Episodes, Summary
+from ...team.episodes import SHOWN, Episodes, Summary, with_error
 from .. import statistics
 
 if TYPE_CHECKING:
@@ -97,7 +97,8 @@ OF_MODEL = f"{IN_MODEL}, and gap: with people drawn from the robot's prior, not 
 
 def _certified(certificate: Certificate | None) -> list[str]:
     """Return the value that a certificate compares with its bound, and the gap."""
-    return ["", ""] if certificate is None else [_mean(certificate.value, certificate.value_stderr), certificate.gap]
+    c = certificate
+    return ["", ""] if c is None else [with_error(c.value, c.value_stderr), c.gap]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,7 +180,7 @@ class PolicyComparison(Result):
         head = [*self._condition_head(), *(name.replace("_", " ") for name in shown.values()), "cut off"]
         lines = [
             [
-                *self._condition(row), *(_mean(*getattr(row.summary, name)) for name in shown),
+                *self._condition(row), *(with_error(*getattr(row.summary, name)) for name in shown),
                 f"{row.summary.cut_off}", *(_certified(row.certificate) if with_gap else []),
             ]
             for row in self.rows
@@ -284,11 +285,6 @@ def _parts(name: str, estimate: IntervalEstimate | None) -> dict[str, float]:
     """Return the columns of an estimate; NaN where there is none."""
     found = estimate or IntervalEstimate(math.nan)
     return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
-
-
-def _mean(mean: float, error: float) -> str:
-    """Return a mean with its standard error, as tables show it; a single episode has no standard error."""
-    return f"{mean:.2f}" if math.isnan(error) else f"{mean:.2f} ± {error:.2f}"
 
 
 def _range(counts: set[int]) -> str:
