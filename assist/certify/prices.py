@@ -153,7 +153,7 @@ def groups_of(
     """Return the groups of a team by their subproblem, with prices of 0 on `window` steps.
 
     Truncated tasks are smaller if the time until `until`, on the clock of `time.perf_counter()`, is short. With
-    `with_outer` they include the outer relaxation, unless travel takes time.
+    `with_outer` they include the outer relaxation.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def groups_of(
         # problem is one on that of the whole task (`person.truncated_bound`).
         envelope = Envelope.of(pool, team, places)
         each_goal = pool.policies[model].problem.bounded(
-            entry, outer=envelope.outer(with_outer),
+            entry, entry_steps, outer=envelope.outer(with_outer),
             limits=BoundLimits(until, room if with_outer else memory_limit_mb, room).shared(len(members) - done),
         )  # fmt: skip
         given += [(one, chance, places, entry, entry_steps, envelope) for chance, one in each_goal]

@@ -93,7 +93,7 @@ class GrowingProblem(ProblemRows):
         self.dearest = float(costs.max(initial=1.0))
         self._rows = Rows(OF_PLACES | OF_CHOICES)
         self._tables = OrderedDict[str, None]()  # the last used last
-        self._bounds = dict[tuple[float, Outer], list[tuple[float, TruncatedProblem]]]()
+        self._bounds = dict[tuple[float, bool, Outer], list[tuple[float, TruncatedProblem]]]()
         self._lock = threading.RLock()
         self._step = self._learn(np.array([known.initial]))  # it has row 0
         self.first = self._step.pomdp
@@ -113,12 +113,12 @@ class GrowingProblem(ProblemRows):
         return memory_of(self.ground.known).state_of(situations)
 
     def bounded(
-        self, entry: float, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
+        self, entry: float, entry_steps: int = 0, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
     ) -> list[tuple[float, TruncatedProblem]]:
         """Return each goal's probability and its problem on a truncated task, computed once; `limits` are of all."""
         for use in (outer, "kept") if outer != "none" else (outer,):  # what is kept includes everything
-            if (entry, use) in self._bounds:
-                return self._bounds[entry, use]
+            if (entry, entry_steps > 0, use) in self._bounds:
+                return self._bounds[entry, entry_steps > 0, use]
         found, each = list[tuple[float, TruncatedProblem]](), each_of(self.ground.known)
         possible = [
             (known, share) for known, share in zip(each, prior_of(self.ground.known).values(), strict=True) if share
@@ -126,11 +126,11 @@ class GrowingProblem(ProblemRows):
         for done, (known, share) in enumerate(possible):
             own = replace(limits.shared(len(possible) - done), kept_mb=limits.kept_mb / len(possible))
             problem = bounded(
-                known, self.assumed, entry=entry, size=self.ground.size, outer=outer,
+                known, self.assumed, entry=entry, entry_steps=entry_steps, size=self.ground.size, outer=outer,
                 limits=own, among=self.ground.known,
             )  # fmt: skip
             found.append((share, problem))
-        self._bounds[entry, outer] = found
+        self._bounds[entry, entry_steps > 0, outer] = found
         return found
 
     def on(self, region: TruncatedTask) -> AssistPOMDP:

@@ -97,7 +97,7 @@ class ProblemRows(Protocol):
         return self.region is None
 
     def bounded(
-        self, entry: float, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
+        self, entry: float, entry_steps: int = 0, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
     ) -> list[tuple[float, TruncatedProblem]]:
         """Return each possible goal's probability, and the problem given this goal whose upper bound holds for all.
 
@@ -170,10 +170,10 @@ class WholeProblem(ProblemRows):
         return Extent(most, actions, float(h[np.isfinite(h)].max(initial=0.0)))
 
     def bounded(
-        self, entry: float, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
+        self, entry: float, entry_steps: int = 0, *, outer: Outer = "frontier", limits: BoundLimits = NO_LIMITS
     ) -> list[tuple[float, TruncatedProblem]]:
         """Return each goal's probability and its problem, which has no frontier."""
-        del entry, outer, limits
+        del entry, entry_steps, outer, limits
         return [(chance, TruncatedProblem(problem)) for chance, problem in given_goals(self.first)]
 
     def task_of(self, goal: int) -> Choices:

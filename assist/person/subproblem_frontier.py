@@ -14,7 +14,8 @@ def frontier_of(alone: AssistPOMDP, layout: TimeExpansion, price: Floats, entry:
     """Return the frontier bounds of a subproblem whose person alone has a frontier: at every step and position.
 
     Upper bound: no policy exceeds the value of a robot that is always present without a price. If the value of a robot
-    that is away is known, the subproblem ends with it. A robot on its way then counts as present.
+    that is away is known, the subproblem ends with it. A robot on its way then counts as present: these values are
+    those of one that waits for free (`truncated_bound`).
 
     Lower bound (otherwise): a robot that is here can stay, and act like one that is always present, for at most the sum
     of all later prices. A robot that is away can come first, if that takes no time. A robot on a longer way can leave

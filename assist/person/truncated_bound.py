@@ -11,12 +11,14 @@ and its own bound is only as tight as that. So four relaxations are nested, from
    memory;
 4. all other states, in which people never err (`frontier_bounds.never_erring`).
 
-Definition. W(x, p, beta, theta) is the optimal discounted return in the whole task from state x, with the robot at
-position p, with observed beta and theta, and with free attention.
+Definition. W(x, p, beta, theta) is the optimal discounted return in the whole task from state x, with observed beta and
+theta. The robot is at position p, away or here. It comes at once, and its attention is free. Waiting is free, too, if
+coming takes time in the inner problem.
 
 Assumptions.
 
-1. The costs of people's actions, of suggestions, of coming and of attention are at least 0.
+1. The costs of people's actions, of a robot's suggestions, executions and waiting, of coming and of attention are at
+   least 0.
 2. The choice model is local. The choice probabilities of a state, and V(x) of equation 7, depend only on the choices in
    that state: their costs, their perceived costs, and the h*, goal flags and keys of their successors. A model that
    looks further may give other numbers on a truncated task, and no bound holds for it.
@@ -24,8 +26,9 @@ Assumptions.
 4. The robot knows the goal. If there are several, it may still suggest what is optimal for another one
    (`Choices.offered`), and the compliance relaxation allows all suggestions.
 
-Claim. All frontier values computed here are at least W. Hence an upper bound on the inner problem, which ends at its
-frontier with these values, is an upper bound on the whole task.
+Claim. All frontier values computed here are at least W. A robot on its way has at most the value W of one that is
+here. Hence an upper bound on the inner problem, which ends at its frontier with these values, is an upper bound on the
+whole task.
 
 Proof, from the outside to the inside.
 
@@ -38,23 +41,26 @@ Proof, from the outside to the inside.
   truncated task. T is monotone. By assumption 2, a choice has the same probability, cost and successor as in the whole
   task. The trust rule changes theta after a suggestion depending on the choices in x and on V of the suggested
   successor. Frontier states have no choices in the truncated task, so that V is computed from their choices in the
-  whole task (`_expected`). Hence T agrees with the Bellman operator of the whole task at all states but the frontier,
-  and it maps values of at least W to values of at least W. With another V at the frontier, such as minus h* for people
-  who consider other things, theta would change differently, and T would be the operator of another problem.
-  An execution that leads to the frontier, after which the person acts at once, has at most the value of the state
-  there, as doing nothing there is free. That is at most the bound of relaxation 4, with attention free from then on.
+  whole task (`closed_problem.value_beyond`). Hence T agrees with the Bellman operator of the whole task at all states
+  but the frontier, and it maps values of at least W to values of at least W. With another V at the frontier, such as
+  minus h* for people who consider other things, theta would change differently, and T would be the operator of another
+  problem.
+  An execution that leads to the frontier, after which the person acts at once, has the bound of relaxation 4 of the
+  state there (`TruncatedTask.for_robot`), whatever the robot pays from then on.
 - Relaxation 1: beta and theta are hidden. The robot has less information than in the definition of W, so that its value
   is at most the mean of W.
-- A price of attention is at least 0, so that free attention is an upper bound. Travel time is replaced by 0: a robot
-  that could arrive at once can also set out later, pays no earlier, and receives no less.
+- Prices of attention and costs of waiting are at least 0, so that a bound without them is one with them. Travel time is
+  replaced by 0: a robot that could arrive at once can also set out later, pays no earlier, and receives no less.
+- A robot on its way has paid for coming. One that is here can wait until the other one arrives, and then do the same.
+  That is free in W; it would not be if waiting had its cost.
 
 After a few steps the robot's belief is concentrated, because people's choices are informative. So most of the value of
 observing beta and theta lies in the first steps, inside the inner truncated task.
 
-`OuterRelaxation` follows people who leave the inner task. It is not used for a robot with a travel time, since the
-relaxation neglects that time. If attention has a price at each step, the problem has a copy of every state for each
-step. Then only the likeliest pairs of state and step are enumerated (`likely`), and the frontier values are computed
-for each step (`OuterRelaxation.beyond`).
+`OuterRelaxation` follows people who leave the inner task. It neglects the time of travel, so that sample paths of a
+robot that needs time do without it (`certify.sample_paths`). If attention has a price at each step, the problem has a
+copy of every state for each step. Then only the likeliest pairs of state and step are enumerated (`likely`), and the
+frontier values are computed for each step (`OuterRelaxation.beyond`).
 """
 
 from __future__ import annotations
@@ -141,7 +147,7 @@ class OuterRelaxation:
     Attributes
     ----------
     visits : AttentionSubproblem
-        The person's problem on it, with a robot that comes and goes.
+        The person's problem on it, with a robot that comes at once and goes.
     value : float array, shape (m, H, T)
         Upper bound on the value in each of its states, in cost units.
     index : int array, shape (n,)
@@ -193,6 +199,7 @@ def bounded(
     assumed: Assumptions,
     *,
     entry: float,
+    entry_steps: int = 0,
     size: int,
     outer: Outer = "frontier",
     limits: BoundLimits = NO_LIMITS,
@@ -209,6 +216,8 @@ def bounded(
         What the robot assumes of the person.
     entry : float
         Smallest cost of coming to the person, in cost units.
+    entry_steps : int
+        Smallest number of steps of coming.
     size : int
         Number of states on which policies are solved; the inner truncated task is not larger.
     outer : Outer
@@ -224,14 +233,14 @@ def bounded(
         The computation would exceed the memory limit.
     """
     in_time = 200 * limits.left  # pairs: the solver's time grows with their number
-    person = _Person(known, assumed, limits, known if among is None else among)
+    person = _Person(known, assumed, entry, entry_steps, limits, known if among is None else among)
     inner, problem, hidden = person.inner(size)
     left = limits.left / 2  # for the expansion of the outer task; the rest is for its values
     seen = 0 if known.searches or outer == "none" else SIZES.seen
     if not (seen > hidden and len(inner.frontier) and left > 0):
         return TruncatedProblem(person.within(inner, problem, None))
     around, around_it = person.outer(seen, hidden, None if left == math.inf else left)
-    visits, value = _values(around_it, person.complying(around, around_it.hidden.expertise), entry, limits)
+    visits, value = person.values(around_it, person.complying(around, around_it.hidden.expertise))
     found = OuterRelaxation(visits, value, around.local(inner.states))
     problem = person.within(inner, problem, found)
     if outer != "kept" or (found.index < 0).any():
@@ -240,7 +249,7 @@ def bounded(
     # since its successors on the frontier are stored as well.
     room = 0.5 * limits.kept_mb * 1e6 / (2 * 3.3 * _bytes_of_a_state(problem))
     pairs = int(max(SIZES.pairs_least, min(SIZES.pairs, in_time, room)))
-    return TruncatedProblem(problem, found, person.between(inner, around, found, entry), pairs)
+    return TruncatedProblem(problem, found, person.between(inner, around, found), pairs)
 
 
 @dataclass(frozen=True)
@@ -249,6 +258,8 @@ class _Person:
 
     known: CostToGo
     assumed: Assumptions
+    entry: float
+    entry_steps: int
     limits: BoundLimits
     among: CostToGo | Goals
 
@@ -282,16 +293,14 @@ class _Person:
             problem = self.seen(outer)
         return outer, problem
 
-    def between(
-        self, inner: TruncatedTask, outer: TruncatedTask, found: OuterRelaxation, entry: float
-    ) -> OuterRelaxation:
+    def between(self, inner: TruncatedTask, outer: TruncatedTask, found: OuterRelaxation) -> OuterRelaxation:
         """Return the outer relaxation on a smaller task, on which prices are optimised."""
         middle = self.task(min(SIZES.price_states, len(outer.states) - len(outer.frontier)))
         index = outer.local(middle.states)
         if (index < 0).any():  # the time limit ended the expansion of the outer task
             return found
         problem = self.within(middle, self.seen(middle), replace(found, index=index))
-        own = AttentionSubproblem.of(problem, entry)
+        own = self.visited(problem)
         at = found.visits.layout.number(0, own.layout.position, index[own.layout.x])
         return OuterRelaxation(own, np.ascontiguousarray(found.value[at]), middle.local(inner.states))
 
@@ -317,6 +326,26 @@ class _Person:
         upper = np.ascontiguousarray(here[:, 1])
         frontier = replace(problem.frontier, upper=upper, lower=upper.copy(), away=np.ascontiguousarray(here[:, 0]))
         return self.assumed.problem(region.choices, frontier)
+
+    def visited(self, problem: AssistPOMDP) -> AttentionSubproblem:
+        """Return the subproblem of a robot that comes at once, and waits for free if it should take time to come."""
+        return AttentionSubproblem.of(problem.unattended() if self.entry_steps else problem, self.entry)
+
+    def values(self, problem: AssistPOMDP, comply: Floats | None) -> tuple[AttentionSubproblem, Floats]:
+        """Return upper bounds for a robot that comes and goes and observes beta and theta, shape (m, H, T).
+
+        `comply`, shape (n, H), holds the bounds of the compliance relaxation, if there are any.
+        """
+        what = f"bounding a person's value on {len(problem.robot_actions):,} states takes"
+        require_room(what, _bytes(problem), self.limits.memory_mb, "a smaller region or a higher limit")
+        visits = self.visited(problem)
+        found = initial_upper_bounds(visits.pomdp)
+        if comply is not None:
+            found = np.minimum(found, comply[visits.layout.x][:, :, None])
+        value_iteration(
+            visits.pomdp, found, tolerance=SIZES.tolerance, max_sweeps=SIZES.sweeps, deadline=self.limits.until
+        )
+        return visits, found
 
     def complying(self, region: TruncatedTask, expertise: Floats) -> Floats | None:
         """Return upper bounds in the states of a truncated task, shape (n, H), by the compliance relaxation around it.
@@ -379,25 +408,8 @@ def _affordable(problem: AssistPOMDP, hidden: int, limits: BoundLimits) -> float
     return min(in_time, 0.3 * limits.kept_mb * 1e6 / needed * hidden)  # the rest of the memory is for the other parts
 
 
-def _values(
-    problem: AssistPOMDP, comply: Floats | None, entry: float, limits: BoundLimits
-) -> tuple[AttentionSubproblem, Floats]:
-    """Return upper bounds for a robot that comes and goes and observes beta and theta, shape (m, H, T).
-
-    `comply`, shape (n, H), holds the bounds of the compliance relaxation, if there are any.
-    """
-    what = f"bounding a person's value on {len(problem.robot_actions):,} states takes"
-    require_room(what, _bytes(problem), limits.memory_mb, "a smaller region or a higher limit")
-    visits = AttentionSubproblem.of(problem, entry)
-    found = initial_upper_bounds(visits.pomdp)
-    if comply is not None:
-        found = np.minimum(found, comply[visits.layout.x][:, :, None])
-    value_iteration(visits.pomdp, found, tolerance=SIZES.tolerance, max_sweeps=SIZES.sweeps, deadline=limits.until)
-    return visits, found
-
-
 def _bytes(problem: AssistPOMDP) -> int:
-    """Return the approximate memory of `_values` in bytes: a subproblem, its values, and copies of both."""
+    """Return the approximate memory of `_Person.values` in bytes: a subproblem, its values, and copies of both."""
     values = 8 * len(problem.robot_actions) * problem.prior.size
     return 3 * sum(array.nbytes for array in _arrays(problem)) + 4 * values
 

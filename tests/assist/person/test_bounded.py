@@ -13,13 +13,14 @@ import pytest
 from conftest import kit, thinned
 from crosscheck import MODELS
 from graphs import graph_task
+from test_robots import Waits
 
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost, perceived_value
 from assist.people.hidden_type import HiddenType
 from assist.people.human import Human
 from assist.people.ranges import Population
-from assist.person import AssistPOMDP, qmdp, solve, truncated_bound
+from assist.person import AssistPOMDP, qmdp, solve, truncated_bound, truncated_task
 from assist.person.assumptions import Assumptions
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.each_goal import BoundLimits
@@ -104,6 +105,35 @@ def test_nobody_gets_more_where_robots_execute(
             gaps.append(gap.max())
         assert gaps[-1] < 1e-8
         assert gaps[-4] > gaps[-3] >= gaps[-2] - 1e-9
+
+
+FORKS = [(0, a, a // 10 + 1) for a in (10, 20)] + [(12, 8, 1), (22, 8, 1), (8, 9, 60)]
+FORKS += [(s, t, 1) for a in (10, 20) for s, t in ((a, a + 1), (a + 1, a + 2), (a + 2, 9))]
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize("c_wait", [1.0, 5.0])
+@pytest.mark.parametrize("steps", [0, 3])
+def test_a_bound_holds_for_a_robot_that_pays_for_waiting(
+    steps: int, c_wait: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """People leave the part while the robot is on its way: then it has paid for coming, and does not wait."""
+    monkeypatch.setitem(truncated_task.BATCH, "sweep", 1)
+    table, known = sweep(graph_task(FORKS, goal=9, start=0)), Population(beta=(0.0, 0.0), theta=(1.0, 1.0))
+    robots = (Waits(c_wait=c_wait),)
+    setting = Setting(robots=robots, c_suggest=5.0, gamma=0.95, trust="constant", knowledge="exact")
+    assumed = Assumptions.of(setting, None, known)
+
+    def value(problem: AssistPOMDP) -> np.ndarray:
+        visits = AttentionSubproblem.of(problem, 8.0, steps)
+        return qmdp(visits.pomdp, tolerance=1e-9).value_mdp[visits.pomdp.model.choices.initial]
+
+    exact = value(assumed.problem(Choices.of(table)))
+    for size in (1, 2, 3, 4, 6):
+        sizes = replace(truncated_bound.SIZES, hidden=size, hidden_least=size, tolerance=1e-6, sweeps=1000)
+        monkeypatch.setattr(truncated_bound, "SIZES", sizes)
+        bound = value(bounded(table, assumed, entry=8.0, entry_steps=steps, size=10).problem)
+        assert (bound >= exact - 1e-6).all()
 
 
 @pytest.mark.parametrize("model", MODELS)
