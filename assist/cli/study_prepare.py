@@ -46,7 +46,7 @@ def study_prepare(
     differences the study can show is said on stderr, by simulation, and which policy hardly suggests anything.
     """
     from ..declare.declared import plain
-    from ..studies.reports.preregistration import register
+    from ..studies.reports.preregistration import register, require_new
     from ..studies.userstudy.forecast import MOST
     from ..studies.userstudy.plan_file import read
 
@@ -58,8 +58,10 @@ def study_prepare(
     if check or links is None:
         if data is None and not check:
             raise click.UsageError("expected --data DIR, the folder of the study, or --check")
-        record = None if check or data is None else register(study, data)
+        if data is not None and not check:
+            require_new(data)  # before simulations, which take long
         forecast = _forecast(study)
+        record = None if check or data is None else register(study, data)
         for text in forecast.remarks():
             note(text)
         if difference is not None:

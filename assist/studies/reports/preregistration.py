@@ -50,15 +50,9 @@ def register(study: UserStudy, folder: Path) -> dict[str, Any]:
     Raises
     ------
     InputFileError
-        The study has begun, or has been registered.
+        As in `require_new`.
     """
-    if (folder / JOURNAL).exists():
-        raise InputFileError(f"{folder / JOURNAL}: the study has begun; a registration comes first")
-    if (folder / REGISTERED).exists():
-        at = _recorded(folder / REGISTERED)["registered"]
-        raise InputFileError(
-            f"{folder / REGISTERED}: already registered at {at}; to register another plan, choose another folder"
-        )
+    require_new(folder)
     record = {
         "format": "kitassist preregistration 1", "registered": datetime.now(UTC).isoformat(timespec="seconds"),
         "version": metadata.version("kitassist"), "study": hashlib.sha256(study.file.read_bytes()).hexdigest(),
@@ -70,6 +64,22 @@ def register(study: UserStudy, folder: Path) -> dict[str, Any]:
     with atomic(folder / REGISTERED) as path:
         path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     return record
+
+
+def require_new(folder: Path) -> None:
+    """Check that a folder has neither a study that has begun nor a registration.
+
+    Raises
+    ------
+    InputFileError
+    """
+    if (folder / JOURNAL).exists():
+        raise InputFileError(f"{folder / JOURNAL}: the study has begun; a registration comes first")
+    if (folder / REGISTERED).exists():
+        at = _recorded(folder / REGISTERED)["registered"]
+        raise InputFileError(
+            f"{folder / REGISTERED}: already registered at {at}; to register another plan, choose another folder"
+        )
 
 
 def _recorded(file: Path) -> dict[str, Any]:

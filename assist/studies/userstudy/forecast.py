@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from itertools import cycle, islice
@@ -17,15 +18,19 @@ from pydantic import Field
 from planner import CostToGo, Table
 
 from ...declare.declared import Count, Number, Text, declared
+from ...declare.tables import fault, located
 from ...people.decision import Floats
+from ...people.user_code import UserCodeError
 from ...person.settings import Setting
 from ...team.episodes import Episodes
+from ...team.policies import UserPolicy
 from ...team.policy_names import WEIGHING, hardly_assists
 from ...team.pool import Pool
 from ...team.simulate import simulate
+from ...team.state import TeamPolicy
 from ..repeated_measures import detectable_within
 from ..statistics import detectable
-from .plan import Condition, UserStudy
+from .plan import UserStudy
 from .session import policy_of
 
 PEOPLE, EPISODES = 24, 200
@@ -96,7 +101,16 @@ class Forecast:
             Tasks by name. Those that are solved on demand are too large to be simulated here.
         briefly : bool
             Whether only what `seldom_assisted` needs is simulated, in fewer episodes; `actions` is then empty.
+
+        Raises
+        ------
+        InputFileError
+            Code of the user's own is missing or fails; the message has the condition's place in the study's file.
         """
+        policies = []
+        for number, one in enumerate(study.conditions, start=1):
+            with _own_code(study, number):
+                policies.append(policy_of(study, one.policy))
         known = [table for name, _ in study.tasks if isinstance(table := tasks[name], Table)]
         if not known:
             return cls(study, {}, {})
@@ -109,10 +123,12 @@ class Forecast:
         for number, one in enumerate(study.conditions):
             if briefly and one.policy not in WEIGHING:
                 continue
-            found = [
-                _simulated(study, one, pool_of(one.setting, place), (number, place), BRIEF if briefly else EPISODES)
-                for place in range(len(known))
-            ]
+            policy, episodes = policies[number], BRIEF if briefly else EPISODES
+            with _own_code(study, number + 1, policy):
+                found = [
+                    _simulated(study, policy, pool_of(one.setting, place), (number, place), episodes)
+                    for place in range(len(known))
+                ]
             members = 1 if study.group is None else study.group.size
             each = [np.where(run.finished, run.actions, np.nan)[:, :members].mean(axis=1) for run in found]
             actions[one.name] = np.mean(each, axis=0)
@@ -200,14 +216,28 @@ class Forecast:
         return spread, float(np.nanmean(own) - np.nanmean(other))
 
 
+@contextmanager
+def _own_code(study: UserStudy, number: int, policy: str | TeamPolicy | None = None) -> Iterator[None]:
+    """Give faults of the user's own code their place in the study's file: the number of the condition, from 1.
+
+    They are the policy's while it is loaded, and where its file is named; others are of people or of their rules.
+    """
+    try:
+        yield
+    except UserCodeError as error:
+        of_policy = policy is None or (isinstance(policy, UserPolicy) and str(error).startswith(f"{policy.file}:"))
+        with located(study.file):
+            place = f"conditions[{number}]{'.policy' if of_policy else ''}"
+            raise fault(study.file, place, str(error)) from None
+
+
 def _simulated(
-    study: UserStudy, condition: Condition, pool: Pool, number: tuple[int, ...], episodes: int
+    study: UserStudy, policy: str | TeamPolicy, pool: Pool, number: tuple[int, ...], episodes: int
 ) -> Episodes:  # fmt: skip
     """Simulate the same teams of the same people; their random numbers are those of the condition alone."""
     team = 1 + study.simulated if study.group is None else study.group.size
     teams = np.random.default_rng([study.seed, 4]).permuted(np.tile(np.arange(PEOPLE), (EPISODES, 1)), axis=1)[:, :team]
     seed = int(np.random.default_rng([study.seed, 5, *number]).integers(2**63))
-    policy = policy_of(study, condition.policy)
     return simulate(pool, policy, humans=teams[:episodes], episodes=episodes, seed=seed)
 
 

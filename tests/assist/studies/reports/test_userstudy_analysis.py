@@ -650,6 +650,69 @@ def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: p
         assert (refused.exit_code, wrong in refused.stderr) == (2, True)
 
 
+OWN_CODE = """
+import numpy as np
+
+
+def fails(team):
+    return team.act(team.foo, 1)
+
+
+class Last:
+    def __init__(self):
+        self.odd = False
+
+    def __call__(self, team):
+        self.odd = not self.odd
+        to = team.active.argmax(axis=1) if self.odd else np.full(len(team.active), -1)
+        return team.act(to[:, None], team.first_optimal())
+
+
+remembers = Last()
+
+
+class fickle:
+    feedback, uses_answer = "actions", False
+
+    def update(self, theta, event):
+        return theta.foo
+"""
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize(
+    ("policy", "said"),
+    [("none", "own.py: has no function 'none'"), ("fails", "own.py:6: AttributeError"), ("remembers", "choose")],
+)
+def test_a_fault_of_an_own_policy_is_said_in_one_line_before_anything_is_registered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: str, said: str
+) -> None:
+    monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
+    (tmp_path / "own.py").write_text(OWN_CODE)
+    text = CONFIRMED.replace('policy = "attention"', f'policy = "own.py:{policy}"')
+    file = written(tmp_path / "study.toml", text)
+    (line,) = [number for number, one in enumerate(text.splitlines(), start=1) if "own.py" in one]
+    refused = invoke("study-prepare", file, "--data", tmp_path / "data")
+    assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1), refused.output
+    assert f"{file}:{line}: conditions[2].policy: {tmp_path / 'own.py'}" in refused.stderr
+    assert said in refused.stderr
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.cases
+def test_a_fault_of_an_own_trust_rule_is_not_said_of_the_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
+    (tmp_path / "own.py").write_text(OWN_CODE)
+    monkeypatch.chdir(tmp_path)
+    file = written(tmp_path / "study.toml", CONFIRMED.replace("[setting]", '[setting]\ntrust = "own.py:fickle"'))
+    refused = invoke("study-prepare", file, "--check")
+    assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1), refused.output
+    assert "policy" not in refused.stderr
+    assert "own.py:" in refused.stderr
+
+
 @pytest.mark.cases
 def test_participants_who_show_a_difference_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
