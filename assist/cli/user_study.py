@@ -125,7 +125,7 @@ def _tasks(study: UserStudy) -> dict[str, CostToGo]:
 
 
 def _report(folder: Path) -> None:
-    """Write the export and the report of a rehearsal."""
+    """Write the export and the report of a rehearsal. A policy that failed ends the command with its exit code."""
     from planner.system.files import atomic
 
     from ..studies.reports.userstudy_report import ReportWording, write_report
@@ -134,6 +134,9 @@ def _report(folder: Path) -> None:
 
     with atomic(folder / EXPORT) as path:
         path.write_bytes(archive(folder))
-    for text in ReportWording().notes(write_report(folder, folder / REPORT)):
+    summary = write_report(folder, folder / REPORT)
+    for text in ReportWording().notes(summary):
         note(text.replace("**", ""))
     click.echo(f"export: {folder / EXPORT}; report: {folder / REPORT / 'report.md'}", err=True)
+    if summary["faults"]:
+        raise SystemExit(ExitCode.FAILED)

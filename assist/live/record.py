@@ -109,12 +109,16 @@ class TeamRecord(Record):
     """Number of decisions of the robots, this one included."""
     advices: Annotated[tuple[Advice, ...], AfterValidator(_for_somebody)] = ()
     """The advice of each robot after the event; empty if it is the same as before, or nothing was decided."""
+    fault: str | None = None
+    """Why the policy decided nothing after the event; none unless it failed."""
 
     format: ClassVar[str] = "kitassist session 4"
 
     @model_serializer(mode="wrap")
     def _short(self, given: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {name: value for name, value in given(self).items() if value or name not in ("advices", "caused")}
+        return {
+            name: value for name, value in given(self).items() if value or name not in ("advices", "caused", "fault")
+        }
 
     def touched(self) -> set[str]:
         """Return the people whose views the event and the decision have changed."""

@@ -104,7 +104,7 @@ class Team(History[TeamRecord]):
         changed = any(advice.person is not None for advice in advices) or advices != self.advices
         record = TeamRecord(
             n=self.count + 1, time=time, event=found, caused=caused, step=self.desk.step,
-            advices=advices if changed else (),
+            advices=advices if changed else (), fault=self.fault,
         )  # fmt: skip
         self._note(record, advices)
         return record

@@ -163,7 +163,9 @@ class ReportWording(Wording):
         return ["", *names], [[one["label"], *map(self.value, one["cells"])] for one in summary["measures"]]
 
     def notes(self, summary: dict[str, Any]) -> Iterator[str]:
-        """Yield what stands at the top: whether more participants are planned, and who hardly made a suggestion."""
+        """Yield what stands at the top: failed policies, missing participants, and who hardly made a suggestion."""
+        for one in summary["faults"]:
+            yield self.texts.phrase("report.policy_failed", **one)
         counts = summary["participants"]
         if counts["planned"] is not None and counts["completed"] < counts["planned"]:
             yield self.texts.phrase("report.in_progress", done=counts["completed"], planned=counts["planned"])

@@ -30,6 +30,7 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "design": study.design,
         "reference": study.reference,
         "setup": _setup(data),
+        "faults": list(_faults(data)),
         "seldom_assisted": list(_seldom_assisted(data)),
         "participants": {"planned": study.participants, **_counts(data)},
         "conditions": _conditions(data), **_groups(data),
@@ -56,6 +57,15 @@ def _setup(data: StudyData) -> dict[str, Any]:
         "tasks": [{"task": name, "optimal_cost": costs.get(name)} for name, _ in study.tasks],
         "simulated_people": study.simulated, "first": min(times, default=None), "last": max(times, default=None),
     }  # fmt: skip
+
+
+def _faults(data: StudyData) -> Iterator[Row]:
+    """Yield the conditions whose policy failed: in how many of their tasks, and its first error."""
+    for one in data.study.conditions:
+        own = [row.get("fault") for row in data.tables.tasks if row["condition"] == one.name]
+        failed = [fault for fault in own if fault is not None]
+        if failed:
+            yield {"condition": one.name, "failed": len(failed), "tasks": len(own), "fault": failed[0]}
 
 
 def _seldom_assisted(data: StudyData) -> Iterator[Row]:

@@ -56,6 +56,7 @@ COLUMNS: dict[str, dict[str, Column]] = {
             "cost of an optimal plan from the initial state; its length if every action costs 1", float
         ),
         **{one.name: Column(one.about, float, later=True) for one in COUNTED},
+        "fault": Column("the first error of the condition's policy in the task; empty unless it failed", later=True),
     },
     "actions": {
         "participant": Column("code of a participant"),
@@ -191,9 +192,12 @@ def tables(study: UserStudy, journal: Path) -> Tables:
                 found.tasks.append(here[entered])
             if entered in record.members:  # others of the group have come
                 found.events.append(_event(entered, record, utc, "onward", to))
+        failed = next((one.fault for one in record.team if one.fault is not None), None)
+        if failed is not None and here[code]["fault"] is None:
+            here[code]["fault"] = failed
     withdrawn = {code for code, person in roll.participants.items() if person.status == WITHDREW}
-    failed = Counter(row["participant"] for row in found.answers if row["passed"] is False)
-    people = [_participant(study, person, failed[person.code]) for person in roll.participants.values()]
+    wrong = Counter(row["participant"] for row in found.answers if row["passed"] is False)
+    people = [_participant(study, person, wrong[person.code]) for person in roll.participants.values()]
     return Tables(people).with_rows(found, withdrawn)
 
 
@@ -223,7 +227,7 @@ def _begun(study: UserStudy, stage: Stage) -> Row:
     position = [*dict(study.tasks)].index(stage.what) + 1 if stage.kind == "task" else None
     return {
         "task": stage.what, "position": position, "finished": False, "optimal_cost": None,
-        **{one.name: one.start for one in COUNTED},
+        **{one.name: one.start for one in COUNTED}, "fault": None,
     }  # fmt: skip
 
 

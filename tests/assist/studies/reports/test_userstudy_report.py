@@ -323,6 +323,26 @@ items = [{ name = "change", text = "Was it better?", options = ["-1", "0", "+1"]
     assert counts["+robot"] == {"-1": 0, "0": 0, "+1": 1}
 
 
+@pytest.mark.cases
+@pytest.mark.usefixtures("no_figures")
+def test_a_rehearsal_in_which_a_policy_fails_is_no_success_and_its_report_says_so(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("def fails(team):\n    return team.foo\n")
+    text = PLAN.replace('policy = "attention"', 'policy = "own.py:fails"').replace("simulated = 2", "simulated = 0")
+    file, data = written(tmp_path / "study.toml", text), tmp_path / "data"
+    ended = invoke("serve", "--study", file, "--rehearse", 2, "--data", data, "--port", 0)
+    assert ended.exit_code == 1, ended.output
+    said = "in 1 of 1 tasks, where it then suggested nothing: `{}:2: AttributeError".format(tmp_path / "own.py")
+    assert f"The policy of attention failed {said}" in ended.stderr
+    with zipfile.ZipFile(data / "user-study.zip") as packed:
+        packed.extractall(tmp_path / "export")
+    for place in (data, tmp_path / "export"):
+        (fault,) = userstudy_report.write_report(place, tmp_path / "report")["faults"]
+        assert (fault["condition"], fault["failed"], fault["tasks"]) == ("attention", 1, 1)
+        top = (tmp_path / "report" / "report.md").read_text().partition("\n## ")[0]
+        assert f"**The policy of attention failed** {said}" in top
+    assert [bool(row["fault"]) for row in read(tmp_path / "export", "tasks.csv")].count(True) == 1
+
+
 def test_what_the_command_refuses(tmp_path: Path) -> None:
     file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", "seed = 3\nparticipants = 8"))
     (registered := tmp_path / "registered").mkdir()
