@@ -26,8 +26,8 @@ def state(
     belief, seen = prior if belief is None else belief, pool.setting.neighbourhood(len(x))
     known = KnownStates(at[0], belief, np.array(erred or [False] * len(x)), seen)
     return TeamState(
-        0, ~choices.goal[at], np.full((1, len(pool.setting.robots)), location), model, known, pool.policies,
-        travel or pool.setting.travel(len(x)), fleet=pool.setting.fleet,
+        np.zeros(1, np.int64), ~choices.goal[at], np.full((1, len(pool.setting.robots)), location), model, known,
+        pool.policies, travel or pool.setting.travel(len(x)), fleet=pool.setting.fleet,
     )  # fmt: skip
 
 

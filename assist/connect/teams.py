@@ -187,7 +187,7 @@ class Teams:
         return self.engine.robots.ready(self.engine.clock)
 
     def state(self) -> TeamState:
-        """Return the state that team policies read; its step is the largest clock of any team."""
+        """Return the state that team policies read."""
         return self.engine.state()
 
     def collisions(self, person: NDArray[np.int64]) -> NDArray[np.bool_]:

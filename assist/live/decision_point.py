@@ -330,8 +330,8 @@ class DecisionPoint:
         size, active = len(self.names), self.working
         actions = max(policy.pomdp.suggested.shape[1] for policy in self.policies)
         team = TeamState(
-            0, active[None], np.full((1, 1), BASE), self.model[None], self.beliefs.of(np.arange(size)), self.policies,
-            Setting().travel(size),
+            np.zeros(1, np.int64), active[None], np.full((1, 1), BASE), self.model[None],
+            self.beliefs.of(np.arange(size)), self.policies, Setting().travel(size),
         )  # fmt: skip
         return beside(self.policy(), team, actions)[0]
 

@@ -163,7 +163,7 @@ class Decisions:
     def _as_policies_see_it(self, active: NDArray[np.bool_], step: int) -> TeamState:
         t = self._team
         return _LiveTeam(
-            step, active[None], np.array([self._places.at]), t.model[None], t.beliefs,
+            np.array([step]), active[None], np.array([self._places.at]), t.model[None], t.beliefs,
             [task.policy for task in t.tasks], self._places.travel, t,
             ready=~np.array([self._places.under_way]), fleet=self._setting.fleet,
         )  # fmt: skip

@@ -175,7 +175,7 @@ class Engine:
         if self._acted_on is not None:
             known = self._acted_on(known)
         return TeamState(
-            step=int(self.clock[every].max()), active=now.active[every], location=self.robots.location[every],
+            clock=self.clock[every].copy(), active=now.active[every], location=self.robots.location[every],
             model=self.tasks.model[every], beliefs=known, policies=self.tasks.policies, travel=self.robots.travel,
             ready=self.robots.ready(self.clock)[every], fleet=self.robots.fleet,
         )  # fmt: skip

@@ -209,6 +209,15 @@ class Priority:
 
         The value of staying has the shape (N, M).
         """
+        shape = *team.location.shape, team.x.shape[1]
+        found = np.zeros(shape, dtype=np.int64), np.full(shape, -np.inf), np.zeros(team.location.shape)
+        for step, teams, own in team.by_step(len(self.price) - 1):
+            for array, part in zip(found, self._worth(step, own), strict=True):
+                array[teams] = part
+        return found
+
+    def _worth(self, step: int, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
+        """Return what `worth` does for teams in the same step."""
         steps, kind = team.travel.steps_from(team.location), team.fleet.kinds.of_robot
         action = np.zeros(steps.shape, dtype=np.int64)
         going, holding = np.full(steps.shape, -np.inf), np.zeros(team.location.shape)
@@ -219,7 +228,6 @@ class Priority:
             )
         if not team.active.any():
             return action, going, holding
-        step = self._step(team)
         price, values = self.price[step], team.of_each(self._asks[step])
         arriving, q = values[:, :, : self.longest], values[:, :, self.longest :]
         # People who are not active score minus infinity.
@@ -227,7 +235,7 @@ class Priority:
         np.subtract(q[:, :, 1:] + price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
         lowest: Floats = np.zeros((1, 1, 1))  # what coming to a person to act costs at least, more than the best robot
         if q.shape[2] > 2:
-            gain[:, :, 2:] += self.beside(team, q.shape[2] - 1)[:, :, 1:]
+            gain[:, :, 2:] += outlook(team, q.shape[2] - 1, partial(self._value_away, step))[:, :, 1:]
             extra = team.extra_costs(q.shape[2] - 1)[..., 1:]
             each = gain[:, None, :, 2:] - extra
             action = np.where(team.active[:, None], first_best(each) + 1, 0)[:, kind]
@@ -243,11 +251,10 @@ class Priority:
 
     def beside(self, team: TeamState, actions: int) -> Floats:
         """Return what the first R robot actions are worth beside each person, as in `outlook`."""
-        return outlook(team, actions, partial(self._value_away, self._step(team)))
-
-    def _step(self, team: TeamState) -> int:
-        """Return the step whose price is in force: all later steps have the same one."""
-        return min(team.step, len(self.price) - 1)
+        found = np.zeros((*team.x.shape, actions))
+        for step, teams, own in team.by_step(len(self.price) - 1):
+            found[teams] = outlook(own, actions, partial(self._value_away, step))
+        return found
 
     @cached_property
     def _asks(self) -> tuple[Ask, ...]:

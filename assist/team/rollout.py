@@ -271,8 +271,8 @@ class _Paths:
             KnownStates(them.row.reshape(-1), known.belief, known.erred, known.neighbours.believed),
         )  # fmt: skip
         # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
-        self.engine.clock[:], self._own_theta = team.step, them.theta.copy()
-        robots.location[:], robots.busy_until[:] = team.location[own], team.step + 1 - team.ready[own]
+        self.engine.clock[:], self._own_theta = team.clock[own], them.theta.copy()
+        robots.location[:], robots.busy_until[:] = team.location[own], (team.clock[own] + 1)[:, None] - team.ready[own]
 
     def values(self) -> Floats:
         """Return the sum of discounted advantages on each path, shape (L, S)."""

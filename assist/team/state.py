@@ -8,8 +8,8 @@ the same form can be used.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,9 +62,8 @@ class TeamState:
 
     Attributes
     ----------
-    step : int
-        Number of steps since the beginning of the episodes; the largest one where teams began at different times, as in
-        vectorised environments.
+    clock : int array, shape (N,)
+        Number of steps since the beginning of each team's episode.
     active : bool array, shape (N, K)
         Whether the person is present and has not finished.
     location : int array, shape (N, M), with M = 1 for one robot
@@ -89,7 +88,7 @@ class TeamState:
         (`uses_belief = False`).
     """
 
-    step: int
+    clock: NDArray[np.int64]
     active: NDArray[np.bool_]
     location: NDArray[np.int64]
     model: NDArray[np.int64]
@@ -109,13 +108,32 @@ class TeamState:
             object.__setattr__(self, "ready", np.broadcast_to(self.ready, self.location.shape))
         known, shape = self.beliefs, self.active.shape
         belief = known.belief.reshape(*shape, *known.belief.shape[1:]) if len(known.belief) else None
-        given = {name: getattr(self, name) for name in ("active", "location", "model", "ready")}
+        given = {name: getattr(self, name) for name in ("clock", "active", "location", "model", "ready")}
         of_people = {"x": known.x.reshape(shape), "erred": known.erred.reshape(shape), "belief": belief}
         for name, array in (given | of_people).items():
             if array is not None and array.flags.writeable:  # the owner of the array may still write to it
                 array = array.view()
                 array.flags.writeable = False
             object.__setattr__(self, name, array)
+
+    @property
+    def step(self) -> int:
+        """The clock of all teams; the largest one where they began at different times, as in environments."""
+        return int(self.clock.max(initial=0))
+
+    def of(self, teams: NDArray[np.int64]) -> Self:
+        """Return the state of some teams, given by their numbers."""
+        flat = (teams[:, None] * self.x.shape[1] + np.arange(self.x.shape[1])).reshape(-1)
+        arrays = {name: getattr(self, name)[teams] for name in ("clock", "active", "location", "model", "ready")}
+        return replace(self, beliefs=self.beliefs.of(flat), **arrays)
+
+    def by_step(self, most: int) -> list[tuple[int, NDArray[np.int64] | slice, Self]]:
+        """Return each step in which some teams are, with these and their state; all steps from `most` on are one."""
+        step = np.minimum(self.clock, most)
+        if (step == step[:1]).all():
+            return [(number, slice(None), self) for number in step[:1].tolist()]
+        each = [(number, np.flatnonzero(step == number)) for number in np.unique(step).tolist()]
+        return [(number, teams, self.of(teams)) for number, teams in each]
 
     @property
     def robots(self) -> int:

@@ -95,6 +95,7 @@ def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> 
     assert env.np_random_seed == 5
     returns, going, begun = np.zeros(70), np.ones(70, dtype=bool), 0
     for step in range(pool.setting.max_steps):
+        assert (env.team.clock[going] == step).all()
         seen, reward, terminated, truncated, info = env.step(env.encode(chooses(env.team)))
         assert seen in env.observation_space
         assert (info["action_mask"] == seen["action_mask"]).all()
@@ -106,6 +107,7 @@ def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> 
             break
     assert returns == pytest.approx(found.discounted_return)
     assert begun > 0  # finished teams are reset while others continue
+    assert env.team.clock.min() < env.team.step
 
 
 @pytest.mark.parametrize(

@@ -156,9 +156,29 @@ def test_attention_is_ahead_of_reactive_is_ahead_of_none(fixed: Table) -> None:
 
 def with_them(pool: Pool, price: object, step: int, x: list[int]) -> list[float]:
     """Return the value of attending to each person in this step at these prices, and of staying with the first."""
-    team = replace(state(pool, x, location=0), step=step)
+    team = replace(state(pool, x, location=0), clock=np.array([step]))
     _, going, holding = Priority.of(pool.policies, team.travel, price).worth(team)
     return [*going[0, 0].tolist(), *holding[0].tolist()]
+
+
+def test_teams_that_began_at_different_times_have_each_the_price_of_their_own_step(pool: Pool) -> None:
+    """As in vectorised environments, where one team begins an episode while others continue theirs."""
+    x, prices = [pool.choices(0).initial] * 3, np.array([0.3, 0.0, 0.5, 0.1, 0.4, 0.2])
+    clock, alone = np.array([2, 0, 2, 9, 4]), state(pool, x, location=0)
+    n, travel = len(clock), alone.travel
+    prior = np.array([policy.pomdp.prior for policy in pool.policies])[alone.model[0]]
+    known = KnownStates(np.tile(x, n), np.tile(prior, (n, 1, 1)), np.zeros(3 * n, dtype=bool))
+    team = TeamState(
+        clock, np.ones((n, 3), dtype=bool), np.zeros((n, 1), dtype=np.int64), np.tile(alone.model, (n, 1)), known,
+        pool.policies, travel, fleet=pool.setting.fleet,
+    )  # fmt: skip
+    assert team.step == 9
+    policy = Priority.of(pool.policies, travel, prices)
+    _, going, holding = policy.worth(team)
+    each = [with_them(pool, prices, step, x) for step in clock.tolist()]
+    np.testing.assert_array_equal(np.concatenate([going[:, 0], holding], axis=1), each)
+    assert policy(team).person.tolist() == [policy(team.of(np.array([k]))).person[0].tolist() for k in range(n)]
+    assert len({tuple(one) for one in each}) == 4
 
 
 def test_priority_goes_by_the_prices_of_the_steps_to_come(pool: Pool) -> None:
@@ -231,7 +251,9 @@ def random_state(pool: Pool, seed: int, robots: int, *, equally_far: bool, trave
     active = ~choices.goal[x] & (rng.random(x.shape) < 0.8)
     known = KnownStates(x.ravel(), belief, rng.random(x.size) < 0.6)
     alike = Fleet.of((Robot(),) * robots)
-    return TeamState(0, active, location, model, known, pool.policies, travel, fleet=alike)
+    return TeamState(
+        np.zeros(len(active), np.int64), active, location, model, known, pool.policies, travel, fleet=alike
+    )
 
 
 def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, said: np.ndarray) -> None:

@@ -350,7 +350,15 @@ def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.n
     nobody = np.zeros((1, 3), dtype=np.int64)
     known = KnownStates(nobody[0], np.empty((0, 1, 1)), nobody[0] > 0)
     team = TeamState(
-        0, nobody == 0, location, nobody, known, [], travel, ready=ready, fleet=Fleet.of((Robot(),) * worth.shape[1])
+        np.zeros(1, np.int64),
+        nobody == 0,
+        location,
+        nobody,
+        known,
+        [],
+        travel,
+        ready=ready,
+        fleet=Fleet.of((Robot(),) * worth.shape[1]),
     )
     net = worth - team.to()
     person = assigned(team, net)
