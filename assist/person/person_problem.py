@@ -112,6 +112,8 @@ def policies_on(
             yield LazyPolicy(replace(assumed.problem(task), alike=len(each)), solver)
             advance(number)
         return
+    # Another class, since it has other values: estimates for each goal, on a task of its own, from which a row gets its
+    # Q-values when somebody is there. A whole task has one table of Q-values for all goals and rows.
     own, typical = None if solver == qmdp else solver, TruncatedPolicy(task, replace(each[0], human=None))
     for assumed in each:
         yield TruncatedPolicy(task, assumed, None if assumed.human is None else typical, own)

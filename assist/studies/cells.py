@@ -151,7 +151,10 @@ def _task_of(study: Study, cell: Cell) -> CostToGo | Choices:
 
 @cache  # consecutive cells of a process often share the task
 def _task(instance: Instance, names: tuple[str, ...] = ()) -> CostToGo | Choices:
-    """Read and solve a task, once in each process for each set of terms. Small tasks are enumerated."""
+    """Read and solve a task, once in each process for each set of terms. Small tasks are enumerated.
+
+    What is enumerated is the same for all cells, and so are its solutions (`_solutions`). A truncated task has neither.
+    """
     known = costs_of(instance)
     return choices_of(known, names) if isinstance(known, Table) and (names or is_whole(known)) else known
 

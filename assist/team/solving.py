@@ -88,6 +88,7 @@ def solved_on_demand(
         whole("region", region, 1)
     asks = setting.c_ask is not None  # worth of answers: exact where it is affordable
     most = MAX_ENUMERATED if asks or solver != qmdp or terms else states
+    # Whether all states are enumerated is decided here: the memory of the policies of all people together limits it.
     choices: Choices | None = None
     if isinstance(table, Choices) or is_whole(table, most):
         choices = affordable_choices(table, setting, terms, them.size, limit)

@@ -75,7 +75,8 @@ def person_problem(
     if states is None:
         states = len(known)
     whole, memory_limit = is_whole(known, states), float("inf")
-    if not whole and setting.region_states is None:  # a state takes memory for each goal
+    # A number that nobody gave is a limit of a truncated task alone: its states take memory for each goal.
+    if not whole and setting.region_states is None:
         states, memory_limit = max(1, states // len(each_of(known))), setting.memory_limit
     drawn = Misconception.drawn(setting.sigma, default_rng(person.seed))
     known_to_robot = drawn if setting.sigma else None
