@@ -7,7 +7,7 @@ last part changes fastest. What is hidden and moves is theta, on T cells. So a b
 
 Everything that depends on a person's type is an array with an axis of types: the probabilities of choices are
 `chosen[n, A, H]`. Arrays that depend on the goal alone have an axis of G goals (`OfGoals`), and `goal_of[H]` leads from
-one to the other. A goal that is known is a prior with one goal, so that no code asks whether it is known.
+one to the other. A goal that is known is a prior with one goal: formulas do not ask whether it is known.
 
 What is about goals in particular stands here, or in `type_kernels` for compiled code:
 
@@ -17,7 +17,7 @@ What is about goals in particular stands here, or in `type_kernels` for compiled
 - QMDP counts the goal as known from the next step on, so that waiting seems too good. The robot therefore acts on
   sharper probabilities of goals, or on the most probable goal alone (`HiddenType.acted_on`).
 - What is known for each goal is averaged over the goals (`mean_over_goals`).
-- Whether there is anything to know or to ask about goals is `several`, and nothing else counts them.
+- Whether there is anything to know, to ask or to show about goals is `several`, and nothing else counts them.
 
 A further part, such as a workload, is one more entry of `HiddenType.parts`, with its effect on `expertise` and its
 probabilities in `prior`: in a class of one's own, which `person.Assumptions` takes, as `docs/contributing.md` shows.
