@@ -15,6 +15,7 @@ import dataclasses
 import json
 import math
 import operator
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, wraps
 from numbers import Real
@@ -396,7 +397,7 @@ def phrase(kind: Any) -> str:
     if is_declared(inner) or get_origin(inner) is dict or inner is dict:
         return "a table"
     if get_origin(inner) in (tuple, list):
-        return f"a list of {phrase(get_args(inner)[0]).removeprefix('a ')}s"
+        return "a list of " + re.sub(r"^(whole number|\w+)", r"\1s", phrase(get_args(inner)[0]).removeprefix("a "))
     what = next((one.text for one in said if isinstance(one, Kind)), {str: "a text"}.get(inner, "another value"))
     return what + limits(said)
 

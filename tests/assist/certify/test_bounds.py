@@ -204,7 +204,7 @@ def test_teams_options_that_cannot_be(tmp_path: Path) -> None:
         (["--set", f"distances={folder / 'far.json'}"], "distance, shape (2, 2): expected (4, 4)"),
         (["--set", f"distances={folder / 'no.json'}"], "expected a list of lists of numbers"),
         (["--set", f"distances={folder / 'null.json'}"], "expected a list of lists of numbers"),
-        (["--set", f"distances={folder / 'text.json'}"], '"1": expected a number'),
+        (["--set", f"distances={folder / 'text.json'}"], "[1][2] '1': expected a number"),
         (["--set", "travel_time=-1"], "--set travel_time: -1; expected a number from 0"),
         (["--set", "gamma=1"], "--set gamma: 1; expected a number above 0 and below 1"),
     ):

@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from pydantic import Field, TypeAdapter
 
 from assist.declare.declared import (
+    Count,
     DeclarationError,
     Expected,
     Number,
@@ -31,6 +32,7 @@ from assist.declare.declared import (
     Whole,
     declared,
     is_declared,
+    phrase,
     plain,
     sentences,
 )
@@ -216,6 +218,8 @@ def test_a_phrase_of_ones_own_stands_for_type_and_limits() -> None:
 
     with pytest.raises(DeclarationError, match="level -1: expected litres above the mark"):
         Tank(-1)
+    assert phrase(list[list[Number]]) == "a list of lists of numbers"
+    assert phrase(tuple[Count, ...]) == "a list of whole numbers of 1 or more"
 
 
 def test_tables_of_pages_are_as_the_classes_declare_them() -> None:
