@@ -94,7 +94,7 @@ class Observed:
 
     @cached_property
     def _leaf(self) -> dict[int, Floats]:
-        """The reward of each step in a leaf, shape (B or 1, T or 1)."""
+        """The reward of each step in a leaf, shape (H or 1, T or 1)."""
         if (frontier := self.pomdp.frontier) is None:
             return {}
         value = (1 - self.pomdp.gamma) * getattr(frontier, self.leaves)
@@ -158,17 +158,17 @@ class Observed:
                 yield f"{name}: {', '.join(meant)}"
 
     def step(self, x: int, r: int) -> list[tuple[int, Floats]]:
-        """Return the successors of state x under robot action r: pairs (observed value, probability of shape (B, T)).
+        """Return the successors of state x under robot action r: pairs (observed value, probability of shape (H, T)).
 
-        Successors of probability 0 are omitted. A probability that does not depend on theta has shape (B, 1).
+        Successors of probability 0 are omitted. A probability that does not depend on theta has shape (H, 1).
         """
         pomdp, choices = self.pomdp, self.pomdp.model.choices
         if self.stays(x):
-            return [(x, np.ones((len(pomdp.grid.beta), 1)))]
+            return [(x, np.ones((len(pomdp.hidden), 1)))]
         r = r if r < pomdp.robot_actions[x] else 0
         acting = int(pomdp.afterstate[x, r])
         if choices.goal[acting]:
-            return [(acting, np.ones((len(pomdp.grid.beta), 1)))]
+            return [(acting, np.ones((len(pomdp.hidden), 1)))]
         slots = np.arange(int(choices.applicable[acting].sum()))
         chance = pomdp.likelihood(np.full(len(slots), x), np.full(len(slots), r), slots)
         if chance.shape[2] > 1 and pomdp.suggested[x, r] == NOTHING:
@@ -179,7 +179,7 @@ class Observed:
         return [(y, p) for y, p in after.items() if (p > 0).any()]
 
     def reward(self, x: int, r: int) -> Floats:
-        """Return the expected reward of robot action r in state x, in cost units, shape (B, T), (B, 1) or (1, 1)."""
+        """Return the expected reward of robot action r in state x, in cost units, shape (H, T), (H, 1) or (1, 1)."""
         pomdp, choices = self.pomdp, self.pomdp.model.choices
         if choices.goal[x]:
             return np.zeros((1, 1))

@@ -26,7 +26,7 @@ def write_pomdp(
 ) -> None:
     """Write a small problem in Cassandra's flat format, one state per (x, beta, theta).
 
-    The number of a state is `(x * B + beta) * T + theta`, where x is an observed value (see `Observed`). After each
+    The number of a state is `(x * H + beta) * T + theta`, where x is an observed value (see `Observed`). After each
     step x is observed. Robot actions and rewards are those of `write_pomdpx`.
 
     Parameters
@@ -54,21 +54,21 @@ def write_pomdp(
 
 def require_size(observed: Observed, max_states: int = 20_000) -> None:
     """Raise a `ValueError` if a problem has more flat states (x, beta, theta)."""
-    betas, thetas = observed.pomdp.grid.shape
-    size = len(observed.state) * betas * thetas
+    types, thetas = observed.pomdp.prior.shape
+    size = len(observed.state) * types * thetas
     if size > max_states:
         raise ValueError(
-            f"{len(observed.state):,} observed values times {betas * thetas} pairs (beta, theta) are {size:,} states; "
+            f"{len(observed.state):,} observed values times {types * thetas} pairs (beta, theta) are {size:,} states; "
             f"expected at most {max_states:,}: write POMDPX"
         )
 
 
 def _flat(observed: Observed, stream: TextIO) -> None:
     pomdp = observed.pomdp
-    betas, thetas = pomdp.grid.shape
-    cells, actions = betas * thetas, action_names(pomdp)
+    types, thetas = pomdp.prior.shape
+    cells, actions = types * thetas, action_names(pomdp)
     size = len(observed.state) * cells
-    stream.write(f"# state (x * {betas} + beta) * {thetas} + theta; what is observed is x\n")
+    stream.write(f"# state (x * {types} + beta) * {thetas} + theta; what is observed is x\n")
     stream.writelines(f"# x = {x}: {name}\n" for x, name in enumerate(observed.names))
     stream.writelines(f"# {line.encode('ascii', 'backslashreplace').decode()}\n" for line in observed.legend())
     stream.write(f"discount: {pomdp.gamma!r}\nvalues: reward\nstates: {size}\n")
@@ -84,24 +84,24 @@ def _flat(observed: Observed, stream: TextIO) -> None:
 def lines_of(observed: Observed, values: NDArray[np.int64]) -> Iterator[str]:
     """Yield the transitions and rewards of some observed values, given by their numbers: nearly all of a large file."""
     pomdp = observed.pomdp
-    betas, thetas = pomdp.grid.shape
-    cells, actions, stay = betas * thetas, action_names(pomdp), np.eye(thetas)
+    types, thetas = pomdp.prior.shape
+    cells, actions, stay = types * thetas, action_names(pomdp), np.eye(thetas)
     for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
         if observed.stays(x):
             yield from (f"T: * : {value * cells + i} : {value * cells + i} 1\n" for i in range(cells))
-            stay_for = np.broadcast_to(observed.reward(x, 0), (betas, thetas)).ravel().tolist()
+            stay_for = np.broadcast_to(observed.reward(x, 0), (types, thetas)).ravel().tolist()
             yield from (f"R: * : {value * cells + i} : * : * {v!r}\n" for i, v in enumerate(stay_for) if v)
             continue
         for r, action in enumerate(actions):
             matrix = observed.moves(x, r)
             moves = stay if matrix is None else matrix
             for y, chance in observed.step(x, r):
-                # P(y | beta, theta) P(theta' | theta), shape (B, T, T')
-                joint = np.broadcast_to(chance, (betas, thetas))[:, :, None] * moves
+                # P(y | beta, theta) P(theta' | theta), shape (H, T, T')
+                joint = np.broadcast_to(chance, (types, thetas))[:, :, None] * moves
                 for b, t, after in zip(*(i.tolist() for i in np.nonzero(joint)), strict=True):
                     start_state, end = value * cells + b * thetas + t, y * cells + b * thetas + after
                     yield f"T: {action} : {start_state} : {end} {float(joint[b, t, after])!r}\n"
-            reward = np.broadcast_to(observed.reward(x, r), (betas, thetas))
+            reward = np.broadcast_to(observed.reward(x, r), (types, thetas))
             yield from (
                 f"R: {action} : {value * cells + i} : * : * {v!r}\n" for i, v in enumerate(reward.ravel().tolist())
             )

@@ -69,21 +69,21 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
     from pomdp_py.utils.templates import SimpleAction, SimpleObservation, SimpleState
 
     observed = Observed.of(pomdp)
-    betas, thetas = pomdp.grid.shape
+    types, thetas = pomdp.prior.shape
     actions = [SimpleAction(name) for name in action_names(pomdp)]
     number = {action.name: r for r, action in enumerate(actions)}
     observations = [SimpleObservation(x) for x in range(len(observed.state))]
 
     @cache
     def rows(value: int, r: int) -> tuple[list[int], Floats, Floats | None, Floats]:
-        """Return the successors of an observed value, their probabilities (Y, B, T), theta's matrix and the reward."""
+        """Return the successors of an observed value, their probabilities (Y, H, T), theta's matrix and the reward."""
         x = int(observed.state[value])
         if observed.stays(x):
-            reward = np.broadcast_to(observed.reward(x, 0), (betas, thetas))
-            return [value], np.ones((1, betas, thetas)), None, reward
+            reward = np.broadcast_to(observed.reward(x, 0), (types, thetas))
+            return [value], np.ones((1, types, thetas)), None, reward
         steps = observed.step(x, r)
-        chances = np.array([np.broadcast_to(chance, (betas, thetas)) for _, chance in steps])
-        reward = np.broadcast_to(observed.reward(x, r), (betas, thetas))
+        chances = np.array([np.broadcast_to(chance, (types, thetas)) for _, chance in steps])
+        reward = np.broadcast_to(observed.reward(x, r), (types, thetas))
         return [y for y, _ in steps], chances, observed.moves(x, r), reward
 
     class Transition(pomdp_py.TransitionModel):
@@ -102,7 +102,7 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
             return SimpleState((y, b, t if moves is None else _draw(moves[t], rng)))
 
         def get_all_states(self) -> list[Any]:
-            grid = product(range(len(observed.state)), range(betas), range(thetas))
+            grid = product(range(len(observed.state)), range(types), range(thetas))
             return [SimpleState(cell) for cell in grid]
 
     class Observation(pomdp_py.ObservationModel):

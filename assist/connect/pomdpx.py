@@ -21,7 +21,8 @@ from .observed import Leaves, Observed, action_names, numbers
 def write_pomdpx(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None, *, leaves: Leaves = "lower") -> None:
     """Write a problem in POMDPX 1.0, with mixed observability.
 
-    The state variable `x` is observed; `beta` and `theta` are hidden, in this order. Given (x, beta, theta) and the
+    The state variable `x` is observed; `beta` and `theta` are hidden, in this order. Where types have further parts,
+    `beta` numbers the types. Given (x, beta, theta) and the
     robot action, the next values of x, beta and theta are independent, so that the file is small. The prior is written
     as P(beta) and P(theta), or as P(beta) and P(theta | beta) if they are dependent.
 
@@ -53,13 +54,13 @@ def write_pomdpx(pomdp: AssistPOMDP, path: Path | str, table: Table | None = Non
 
 def _pomdpx(observed: Observed, stream: TextIO) -> None:
     pomdp = observed.pomdp
-    betas, thetas = pomdp.grid.shape
+    types, thetas = pomdp.prior.shape
     actions = action_names(pomdp)
-    hidden = {"beta": betas, "theta": thetas}
+    hidden = {"beta": types, "theta": thetas}
     stream.write('<?xml version="1.0" encoding="ISO-8859-1"?>\n<pomdpx version="1.0" id="kitassist">\n')
     stream.write("<Description>Assistance of one person: x is the task's state, beta their expertise, theta the ")
     stream.write("influence of the robot.\n")
-    stream.write(f"beta {numbers(pomdp.grid.beta)}\ntheta {numbers(pomdp.grid.theta)}\n")
+    stream.write(f"beta {numbers(pomdp.hidden.expertise)}\ntheta {numbers(pomdp.grid.theta)}\n")
     stream.writelines(f"{escape(line).encode('ascii', 'xmlcharrefreplace').decode()}\n" for line in observed.legend())
     stream.write("</Description>\n")
     stream.write(f"<Discount>{pomdp.gamma!r}</Discount>\n<Variable>\n")
@@ -82,7 +83,7 @@ def _pomdpx(observed: Observed, stream: TextIO) -> None:
     if np.allclose(np.outer(beta, theta), pomdp.prior, rtol=0, atol=1e-15):
         stream.writelines(_function("theta_0", "null", [("-", theta)]))
     else:
-        given = np.divide(pomdp.prior, beta[:, None], out=np.tile(theta, (betas, 1)), where=beta[:, None] > 0)
+        given = np.divide(pomdp.prior, beta[:, None], out=np.tile(theta, (types, 1)), where=beta[:, None] > 0)
         stream.writelines(_function("theta_0", "beta_0", [("- -", given)]))
     stream.write("</InitialStateBelief>\n<StateTransitionFunction>\n")
     every = observed.values()

@@ -122,7 +122,9 @@ class Event:
 class TrustRule(Protocol):
     """A map of theta and an event to the theta after it.
 
-    Two further attributes are optional: `counts` (`counts_of`) and `sees_silence` (`may_move`).
+    Further attributes are optional. With `counts` (`counts_of`), `update` has a third argument, the count of outcomes
+    or, with a method `counted(count, event)`, of what this counts. With `sees_silence` (`may_move`), the rule is also
+    applied in steps without a suggestion.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """The belief filter, compiled: posteriors after a person's choice, with the influence and the trust update.
 
-Compiled code that filters beliefs uses these functions: simulations and live sessions (`update_seen`), beliefs over
+Compiled code that filters beliefs uses these functions: simulations and live sessions (`update_compiled`), beliefs over
 task states and sampled bounds (`posterior`), and solvers, which need the posteriors after all choices (`split`, then
 `child` for each choice). `belief_update` has the same sums in numpy. `AssistPOMDP.update` is another formula of the
 same posterior; a test compares them on random problems.
@@ -97,7 +97,7 @@ def update(belief: Floats, after: Floats, x: int, action: int, slot: int, m: Pro
 
 
 @njit(nogil=True)
-def update_seen(
+def update_compiled(
     rows: Ints, acts: Acts, belief: Floats, erred: Bools, optimal: Bools, possible: Floats, m: ProblemArrays
 ) -> None:
     """Update the beliefs in people by what they did, and tell whether it was a mistake.

@@ -13,7 +13,7 @@ from planner.system.compiling import ReadableFirst
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import Bools, Floats, Ints
 from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
-from .belief_filter import update_seen
+from .belief_filter import update_compiled
 from .belief_update import update_readable
 from .beliefs import Ask, Groups, PersonModel
 from .joint_belief import JointBelief
@@ -101,4 +101,4 @@ def _work(people: Ints, _acts: Acts, belief: Floats, *_: object) -> float:
     return 60_000 + len(people) * 20 * (belief[0].size if len(belief) else 1)
 
 
-_update = ReadableFirst(update_readable, update_seen, _work)
+_update = ReadableFirst(update_readable, update_compiled, _work)

@@ -12,8 +12,8 @@ A step has this order:
 1. `begin_step`: who is at work is found, and each person's row.
 2. `ask`: at most one person of each team is asked. The answer comes at once and changes the belief
    (`Beliefs.answered`).
-3. `state`: what policies receive. If the robots assume the likeliest goal (`acted_on`), this has other beliefs than
-   those that are kept. A policy chooses an action.
+3. `state`: what policies receive. In `simulate(goals="likeliest")` it has other beliefs than those that are kept
+   (`acted_on`). A policy chooses an action.
 4. `step`: the robots are sent, make room or stay, and speak. Everybody at work acts once: choices depend on the theta
    before the step, then theta moves. Beliefs follow what was seen (`Beliefs.observe`): the likelihood of the choice,
    the move of theta, and that the goal was not reached by those who go on. Then theta and the beliefs move by what

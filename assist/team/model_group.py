@@ -38,7 +38,8 @@ class ModelGroup:
     people : sequence of Human, optional
         People of a pool, each with every goal in turn; by default those of the robot's model, one of each type.
     trust : TrustRule, optional
-        The rule by which theta of these people moves; by default equation (7), which the robot's model has.
+        The rule by which theta of people of a pool moves; by default equation (7). Theta of people of the robot's
+        model moves on the grid of the problem, by the rule that the problem has.
 
     Attributes
     ----------

@@ -246,7 +246,8 @@ class TeamState:
     def executes(self, actions: int) -> NDArray[np.bool_]:
         """Return which of the first R robot actions are executions by the robot, shape (N, K, R).
 
-        Where no robot can execute an action, the shape is (1, 1, R).
+        Action 0 and padding count as executions, too, as they suggest nothing. Where no robot can execute an action,
+        the shape is (1, 1, R).
         """
         if not self.fleet.executes:
             return np.zeros((1, 1, actions), dtype=bool)

@@ -16,12 +16,14 @@ import pytest
 from conftest import KITTING, TESTS, invoke, table_of, thinned, write_instance
 from scipy.sparse import csr_array
 from test_alpha_vectors import lockers, problems
+from test_bounded import Clearheaded
 from test_qmdp import GRID, make
 
 from assist.connect import read_policy, to_pomdp_py, write_pomdp, write_pomdpx
 from assist.connect.observed import Observed, action_names
 from assist.people import Choices, HumanModel, remembered
 from assist.person import AssistPOMDP, Assumptions, OfRobots, TruncatedTask, evaluate
+from assist.person.behaviour import Behaviour
 from assist.person.closed_problem import closed_problem
 from assist.person.qmdp import qmdp
 from planner import InputFileError, Instance, Table, load, sweep
@@ -274,9 +276,21 @@ def test_the_flat_format_is_the_factored_one_multiplied_out(tiny_choices: Choice
 @pytest.mark.parametrize("name", thinned(["execute", "optimal", "lockers"]))
 def test_no_value_changes(tiny_choices: Choices, tmp_path: Path, name: str) -> None:
     """The exported process has the same MDP value: forbidden actions have no effect."""
-    pomdp = problems(tiny_choices)[name]
-    write_pomdp(pomdp, tmp_path / "problem.pomdp")
-    flat, observed = Flat(tmp_path / "problem.pomdp"), Observed.of(pomdp)
+    check_values(problems(tiny_choices)[name], tmp_path)
+
+
+def test_a_part_of_the_type_of_ones_own_is_exported(tiny_choices: Choices, tmp_path: Path) -> None:
+    pomdp = make(tiny_choices, behaviour=Behaviour(types=Clearheaded))
+    assert pomdp.prior.shape == (2 * len(GRID.beta), len(GRID.theta))
+    check_values(pomdp, tmp_path)
+    write_pomdpx(pomdp, tmp_path / "problem.pomdpx")
+    assert len(Pomdpx(tmp_path / "problem.pomdpx").values["beta_0"]) == len(pomdp.hidden)
+
+
+def check_values(pomdp: AssistPOMDP, folder: Path) -> None:
+    """Compare the MDP value of the exported process with the problem's own."""
+    write_pomdp(pomdp, folder / "problem.pomdp")
+    flat, observed = Flat(folder / "problem.pomdp"), Observed.of(pomdp)
     np.testing.assert_allclose(flat.transition.sum(axis=2), 1, rtol=1e-12)
     size = flat.transition.shape[1]
     transition, value = csr_array(flat.transition.reshape(-1, size)), np.zeros(size)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from assist.people.belief import ImpossibleObservationError
 from assist.people.type_kernels import exclude_reached, is_mistake
-from assist.person.belief_filter import update, update_seen
+from assist.person.belief_filter import update, update_compiled
 from assist.person.belief_update import mistaken, update_readable, updated, without_reached
 from assist.person.dynamics import act_readable
 from assist.person.dynamics_kernel import act_compiled
@@ -105,7 +105,7 @@ def test_the_beliefs_after_a_step(
     known = beliefs(rng, people, m) if believed else np.empty((0, 1, 1))
     goes_on = rng.random(len(rows)) < 0.7
     found = [(known.copy(), np.ones(people, dtype=bool)) for _ in range(2)]
-    for update_by, (belief, erred) in zip((update_readable, update_seen), found, strict=True):
+    for update_by, (belief, erred) in zip((update_readable, update_compiled), found, strict=True):
         update_by(rows, Acts(x, action, slot, goes_on), belief, erred, optimal, possible, m)
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
