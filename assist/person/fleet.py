@@ -6,11 +6,18 @@ best of several robots has (`robots.Best`).
 People's problems have the *best* robot: it can do what any robot of the team can, at the lowest cost and in the
 shortest time of any. Policies and simulations add what an action of each robot costs more (`Fleet.extra`).
 
-Claim. A bound on the value of all policies for M of the best robots is one for the team, too.
+Claim. What the robots of a team do to a person is a policy of that person's subproblem with the best robot
+(`attention_subproblem`), at costs that are not higher there. So the bound of `certify.team_bound`, in which people's
+subproblems have the best robot, holds for the team.
 
-Proof. Any policy of the team is one of those robots, too. Where a robot of the team needs longer for a way, the faster
-one sets out later, so that both arrive in the same step. Its actions are possible, and cost no more. A robot that makes
-room for another one leaves for free, as in people's problems, and comes back at the cost of a move.
+Proof. The best robot's actions include those of each robot, at costs that are not higher. Where a robot of the team
+needs longer for the way to the person, the best one sets out later, so that both arrive in the same step. Until then it
+is away in the subproblem, which costs nothing. A robot that makes room for another one leaves for free, as in the
+subproblem, and comes back at the cost of a move.
+
+This is a statement about subproblems. M of the best robots need not be as good as the team. The faster robot has to be
+somewhere until it sets out. There it may pay for waiting, or another robot may send it to the base, from where the way
+may be longer.
 """
 
 from __future__ import annotations
@@ -27,7 +34,7 @@ from planner.system.arrays import frozen
 
 from ..declare.declared import annotation_of, marks, names_of
 from ..people.decision import Bools, Floats, Ints
-from .robots import EXECUTION, NOTHING_DONE, SUGGESTION, USUAL, Best, OfRobots, Robot
+from .robots import EXECUTION, NOTHING_DONE, SUGGESTION, USUAL, Best, OfRobots, Robot, costs_of
 
 
 class Kinds(NamedTuple):
@@ -119,9 +126,9 @@ class Fleet:
         Raises
         ------
         ValueError
-            An action of a robot costs less than one of the best robot.
+            A cost is less than 0; or an action of a robot costs less than one of the best robot.
         """
-        more = np.array(self.each("costs") - self.best.costs)
+        more = np.array([costs_of(robot) for robot in self.robots]) - costs_of(self.best)
         more[~self.each("execute"), EXECUTION] = np.inf if self.executes else 0.0
         if (more < 0).any():
             robot, action = np.argwhere(more < 0)[0].tolist()

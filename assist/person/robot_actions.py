@@ -9,7 +9,7 @@ import numpy as np
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, Ints
 from .leaf_bounds import LeafBounds
-from .robots import OfRobots, Suggestions
+from .robots import OfRobots, Suggestions, costs_of
 
 
 class RobotActions(NamedTuple):
@@ -25,7 +25,7 @@ class RobotActions(NamedTuple):
         cls, choices: Choices, suggestions: Suggestions, robot: OfRobots, frontier: LeafBounds | None
     ) -> RobotActions:
         """Number the robot actions of each state: nothing, the suggestions, and the executions if it executes."""
-        nothing, suggestion, execution = robot.costs
+        nothing, suggestion, execution = costs_of(robot)
         best = choices.optimal if choices.offered is None else choices.offered
         offered = best if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
         offered = offered & ~choices.goal[:, None]

@@ -28,7 +28,7 @@ from ..people.neighbours import Watched, WithSeen, moves_theta, own_seen_rule, s
 from ..people.trust_rules import RULES, TrustRule, trust_rule
 from ..people.user_code import function_beside
 from .observation_model import ObservationModel
-from .robots import OfRobots, Robot, Suggestions
+from .robots import OfOnePerson, OfRobots, Robot, Suggestions
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -82,20 +82,28 @@ class Setting(OfRobots):
     """
 
     gamma: Annotated[Number, Field(gt=0, lt=1, description="Discount factor per step.")] = 0.99
-    eta: Annotated[Number, Field(ge=0, le=MOST, description="Rate of the trust update (equation 7).")] = 0.2
+    eta: Annotated[
+        Number, OfOnePerson(), Field(ge=0, le=MOST, description="Rate of the trust update (equation 7).")
+    ] = 0.2
     utility_scale: Annotated[
         Number,
+        OfOnePerson(),
         Field(ge=1 / MOST, le=MOST, description="Unit of value in the trust update, in cost units."),
     ] = 1.0
     lapse: Annotated[
-        Number, Field(ge=0, lt=1, description="Probability of a uniform choice in the robot's model of people.")
+        Number,
+        OfOnePerson(),
+        Field(ge=0, lt=1, description="Probability of a uniform choice in the robot's model of people."),
     ] = 1e-3
     knowledge: Annotated[
         Knowledge,
+        OfOnePerson(),
         Field(description="Whether the robot knows each person's own perceived costs, or the exact costs only."),
     ] = "own"
     suggestions: Annotated[
-        Suggestions, Field(description="Whether the robot suggests optimal actions only, or any applicable action.")
+        Suggestions,
+        OfOnePerson(),
+        Field(description="Whether the robot suggests optimal actions only, or any applicable action."),
     ] = "optimal"
     max_steps: Annotated[Whole, Field(ge=1, description="Steps after which an episode is cut off.")] = 500
     trust: Annotated[
@@ -108,6 +116,7 @@ class Setting(OfRobots):
     ] = None
     believed_trust: Annotated[
         Rule,
+        OfOnePerson(),
         Field(description="How the robot believes that theta moves; the rule of `trust` unless given."),
     ] = None
     robots: Annotated[

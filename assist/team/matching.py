@@ -9,10 +9,20 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ..declare.declared import annotation_of, marks, names_of
 from ..people.misconception import Misconception
+from ..person.robots import OfOnePerson
 
 P = TypeVar("P", bound=Any)
 """The type of a `Pool`."""
+
+
+def _fields_of_the_team(kind: type) -> list[str]:
+    """Return the names of the fields of a setting's class that do not concern people one by one."""
+    return [
+        name for name in names_of(kind)
+        if not any(isinstance(mark, OfOnePerson) for mark in marks(annotation_of(kind, name)))
+    ]  # fmt: skip
 
 
 def require_matching(pool: Any) -> None:
@@ -54,9 +64,9 @@ def require_matching(pool: Any) -> None:
 def union(pools: Sequence[P]) -> P:
     """Return the union of pools with different tasks, models or costs of suggestions.
 
-    The setting is that of the first pool. Fields that concern one person only are part of the policies and may
-    differ. Fields of the whole team must be the same: `gamma`, `c_move`, `travel_time`, `max_steps`, `robots`, people's
-    trust rule, what the robot observes, what questions cost, and what actions of each robot cost more than of the best.
+    The setting is that of the first pool. Fields that concern people one by one have the mark `OfOnePerson`; they are
+    part of the policies and may differ. All others must be the same, and so must be what actions of each robot cost
+    more than those of the best one.
 
     Raises
     ------
@@ -65,8 +75,7 @@ def union(pools: Sequence[P]) -> P:
     """
     if not pools:
         raise ValueError("joined: expected one pool or more")
-    shared = ("gamma", "c_move", "travel_time", "max_steps", "robots", "observation", "c_ask", "ask_error")
-    for name in ("trust", *shared):
+    for name in _fields_of_the_team(type(pools[0].setting)):
         values = [getattr(pool.setting, name) for pool in pools]
         if name == "trust":  # the paper's rule has its rate and unit from each person's model
             values = ["paper" if value is None else value for value in values]

@@ -6,13 +6,15 @@ import pickle
 import re
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
 from conftest import thinned
+from pydantic import Field
 from teams import reachable, run
 
+from assist.declare.declared import Number, declared
 from assist.people import Choices, Human, Population, perceived_cost
 from assist.person import AssistPOMDP, ObservationModel, Policy, Setting
 from assist.person.qmdp import qmdp
@@ -171,6 +173,7 @@ def test_the_robot_may_take_people_for_others(tiny_choices: Choices) -> None:
     [
         ("trust", {}, {"trust": "constant"}), ("observation", {}, {"observation": ObservationModel(miss=0.3)}),
         ("c_ask", {}, {"c_ask": 0.1}), ("robots", {}, {"robots": 2}),
+        ("neighbours", {}, {"neighbours": {"rule": "followed"}}),
     ],
 )  # fmt: skip
 def test_pools_whose_world_differs_are_not_joined(
@@ -181,6 +184,20 @@ def test_pools_whose_world_differs_are_not_joined(
     for pair in (pools, pools[::-1]):
         with pytest.raises(ValueError, match=f"joined: {name} is"):
             Pool.joined(pair)
+
+
+@declared
+class Shift(Setting):
+    """A setting with a field of the whole team that no other code knows."""
+
+    length: Annotated[Number, Field(ge=0, description="Length of a shift, in steps.")] = 0.0
+
+
+def test_a_field_of_ones_own_is_one_of_the_whole_team(tiny: Table) -> None:
+    pools = [Pool.sample(tiny, 1, seed=1, setting=Shift(length=length)) for length in (8, 9)]
+    with pytest.raises(ValueError, match=re.escape("joined: length is [8.0, 9.0] in these pools; expected the same")):
+        Pool.joined(pools)
+    assert Pool.joined(pools[:1] * 2).setting == pools[0].setting
 
 
 def test_pools_with_other_rates_of_trust_are_joined(tiny: Table) -> None:

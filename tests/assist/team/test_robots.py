@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -265,6 +266,32 @@ def test_a_field_says_what_the_best_robot_has() -> None:
         _ = Fleet.of((Cheaper(kits=2), Cheaper())).extra  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"Unmarked\.kits: expected a mark in its annotation"):
         _ = Fleet.of((Unmarked(), Unmarked())).best
+
+
+@declared
+class Glad(Robot):
+    """A robot that is paid for waiting, or whose cost of it is no number."""
+
+    which: Annotated[Whole, Best(max), Field(ge=0, description="Which cost of a step of waiting.")] = 0
+
+    @property
+    def costs(self) -> tuple[float, float, float]:
+        """What each class of robot actions costs."""
+        return WAITING[self.which], self.c_suggest, self.c_execute
+
+
+WAITING = (0.5, -1.0, math.nan, math.inf)
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize("which", [1, 2, 3])
+def test_costs_of_robots_are_numbers_of_0_or_more(which: int) -> None:
+    """All bounds assume that: no problem has others, and no robot acts at others."""
+    words = rf"Glad\.costs \({WAITING[which]}, 1\.0, 1\.0\): expected three numbers of 0 or more"
+    with pytest.raises(ValueError, match=words):
+        people((Glad(which=which),), c_suggest=1.0)
+    with pytest.raises(ValueError, match=words):
+        _ = Setting(robots=(Glad(), Glad(which=which))).fleet.extra
 
 
 costs = st.sampled_from([None, 0.0, 0.02, 0.3])
