@@ -14,13 +14,13 @@ a team of robots 1, ..., M is at most
 where V_k is the optimal value of person k's subproblem with the best robot, at these prices: each step of attention has
 the price lambda_t, and an action of class a the price mu_t(a) in addition.
 
-Proof. Consider any policy of the team, as a policy of the best robots that has the costs e_m(a) in addition
-(`assist.person.fleet`). In a step, a robot attends to no person, or to a person without an action, or
-takes one action, of some class a. In its part of the first sum the robot has at least as much as the prices of what it
-does, minus e_m(a): nothing, lambda_t, or lambda_t + mu_t(a). So the return increases or stays the same if the first sum
-is added, and the prices are subtracted and the costs e_m(a) added back. The result is the first sum plus, for each
-person, a return with the best robot's costs at these prices. The robots' behaviour towards person k is a policy of
-their subproblem, so that its mean is at most V_k.
+Proof. Consider any policy of the team. An action of class a costs robot m what it costs the best robot, plus e_m(a). In
+a step, a robot attends to no person, or to a person without an action, or takes one action, of some class a. In its
+part of the first sum the robot has at least as much as the prices of what it does, minus e_m(a): nothing, lambda_t, or
+lambda_t + mu_t(a). So the return increases or stays the same if the first sum is added, and the prices are subtracted
+and the costs e_m(a) added back. The result is the first sum plus, for each person, a return with the best robot's costs
+at these prices. What the robots do to person k is a policy of their subproblem with the best robot
+(`assist.person.fleet`), so that its mean is at most V_k.
 
 With mu = 0 it is the bound of the best robots, as e_m(a) >= 0.
 """

@@ -4,23 +4,27 @@ With neighbours who see each other, theta of a person also moves when another on
 `team_bound` then holds if these moves, too, are chosen as well as possible in the subproblem of each person:
 
 Assumptions. Those of `team_bound`, except that theta of a person depends on other people's suggestions: each one that
-they see is an event, whose rule says how far theta can come at least, l_1(theta), and at most, u_1(theta). Both rise
-with theta, which is checked on the grid.
+they see is an event, whose rule says how far theta can come at least, l(theta), and at most, u(theta). Both rise with
+theta. That is checked where they are used: on the grid, and at all bounds that follow from it.
 
-Claim. Let [l_m(theta), u_m(theta)] be the values that theta may have after at most m events of a step. Let V_k(lambda)
-be the optimal value, with observed type and theta, of person k's subproblem in which theta, after each step of theirs,
-may be moved to any value in this interval: with m = M robots if none attends to them in this step, else with m = M - 1.
-Then J* <= M sum_t gamma^t lambda_t + sum_k V_k(lambda).
+Claim. Let l_0(theta) = theta, and l_{m+1}(theta) the least of l_m(theta) and l(l_m(theta)) of each kind of events; u_m
+likewise, with the largest. So [l_m(theta), u_m(theta)] has all values of theta after at most m events of a step. Let
+V_k(lambda) be the optimal value, with observed type and theta, of person k's subproblem in which theta, after each step
+of theirs, may be moved to any value in this interval: with m = M robots if none attends to them in this step, else with
+m = M - 1. Then J* <= M sum_t gamma^t lambda_t + sum_k V_k(lambda).
 
 Proof. Prices are added as without neighbours. Each suggestion of a step is made by another robot, which attends to its
 person. So at most M of them, or M - 1 if a robot attends to k, are events for k, and theta of k is in the interval.
 Hence what happens to k under a team policy is a policy of this subproblem that also chooses these moves. It depends on
-other people's states, types and actions, which given k's history act like additional random numbers. A policy that
-observes the type and theta is not worse. So the mean of its return is at most V_k(lambda).
+what is seen of the other people. Given the robots' actions and what they saw of k, that is independent of k's type and
+theta, so that it acts like additional random numbers, as in `team_bound`. A policy that observes the type and theta is
+not worse. So the mean of its return is at most V_k(lambda).
 
-As l_1 and u_1 rise with theta, l_m and u_m are their iterates. The values are those on the grid, with
-theta between grid points divided between them, as people of the model move: linear between grid points, and largest at
-an end of the interval or at a grid point within.
+That the interval has all these values follows by induction over the events. After m of them theta is at least
+l_m(theta). As l rises, one more leads to l(l_m(theta)) or more; if there is none, theta stays.
+
+The values are those on the grid, with theta between grid points divided between them, as people of the model move:
+linear between grid points, and largest at an end of the interval or at a grid point within.
 
 Of a truncated task not all states are known, so that a gain may have any size. Values at its frontier are those of
 people who never err, which no theta exceeds (`truncated_bound.bounded` with `outer` "none").
@@ -42,6 +46,7 @@ from ..people.theta_reach import ThetaReach, range_of_gains
 from ..person.attention_subproblem import AttentionSubproblem, backwards
 from ..person.each_goal import Outer
 from ..person.mdp_values import initial_upper_bounds, value_iteration
+from ..person.pomdp import AssistPOMDP
 from ..person.problem_rows import ProblemRows
 from ..person.qmdp import QMDP, look_ahead
 from ..person.rounding import rounding
@@ -115,10 +120,7 @@ class Envelope(OwnTheta):
 
     def bound(self, best: QMDP, search: Callable[[QMDP], Solution]) -> Solution | Lifted:  # noqa: ARG002
         """Return these values at the beginning as the bound, moved up by what rounding may take."""
-        pomdp = best.pomdp
-        value = float((best.value_mdp[pomdp.model.choices.initial] * pomdp.prior).sum())
-        terms = pomdp.model.choices.applicable.shape[1] * len(pomdp.grid.theta)
-        value += rounding(terms) / (1 - pomdp.gamma) * float(abs(best.value_mdp).max())
+        value = mean_at_most(best.value_mdp[best.pomdp.model.choices.initial], best.value_mdp, best.pomdp)
         return Lifted(value, value, value)
 
     def solved(self, visits: AttentionSubproblem, tail: Floats | None = None) -> QMDP:
@@ -153,6 +155,24 @@ class Envelope(OwnTheta):
         robots, attended = len(self.reach.low) - 1, visits.attended()[:, :, None, None]
         each = [look_ahead(visits.pomdp, self.reach.lifted(value, robots - less), states).q_mdp for less in (1, 0)]
         return np.where(attended, *each)
+
+
+def mean_at_most(value: Floats, every: Floats, pomdp: AssistPOMDP) -> float:
+    """Return the mean under the prior of computed bounds, shape (H, T), moved up by what rounding may take.
+
+    That is what it takes in each backup, in every later step (`policy_iteration`), and in the mean. The terms of both
+    are counted together.
+
+    Parameters
+    ----------
+    value : float array, shape (H, T)
+    every : float array
+        All values from which the backups were computed.
+    pomdp : AssistPOMDP
+    """
+    terms = pomdp.model.choices.applicable.shape[1] * len(pomdp.grid.theta) + pomdp.prior.size
+    margin = rounding(terms) / (1 - pomdp.gamma) * float(abs(every).max())
+    return float((value * pomdp.prior).sum()) + margin
 
 
 def _gains(problem: ProblemRows) -> Range:

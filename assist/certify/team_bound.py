@@ -4,8 +4,9 @@ In each step a robot attends to at most one person: it is at their place or on i
 most M people. A Lagrangian relaxation of this constraint, with a price lambda_t for each step of attention, separates
 the team into the attention subproblems of single people (`assist.person.attention_subproblem`).
 
-Assumptions. People's choices are independent of each other, given the robot's actions. A move to a person costs at
-least as much, and takes at least as long, as a move from the nearest other place.
+Assumptions. What is hidden about people is independent, and so are their choices, given the robot's actions. Robot
+actions cost 0 or more. A move to a person costs at least as much, and takes at least as long, as a move from the
+nearest other place.
 
 Claim. For all prices lambda_t >= 0, the optimal value J* of the team is at most
 
@@ -23,8 +24,9 @@ it comes when the first of them sets out, and leaves with the last. Where coming
 action: to be there before would cost as much or more, as costs and prices are 0 or more, and would change nothing.
 Where coming takes time, it may be with the person in a step in which the robots of the team are all on their way there,
 since another one left. It then waits for free, and the person chooses as if nobody were there. This policy also depends
-on the other people's states, which are independent of person k and act like additional random numbers. So the mean of
-the return is at most V_k.
+on what the robots see of the other people. Given the robots' actions, that is independent of what is hidden about
+person k and of their choices. So a robot that is alone with person k can draw it, step by step: it acts like additional
+random numbers. The mean of the return is at most V_k.
 
 The prices are optimised (`assist.certify.prices`). Each V_k is bounded from above with hidden beta and theta
 (`assist.person.solver`), so that the bound does not assume more knowledge of people than a robot has.
@@ -61,7 +63,7 @@ from ..team.priority import Priority
 from ..team.state import TeamPolicy
 from . import sample_paths
 from .certificate import Certificate, returns
-from .computation import Computation, InterruptedBound
+from .computation import Computation, InterruptedBound, summed
 from .envelope import require_envelope
 from .information_relaxation.confidence import SampledBound
 from .options import Effort
@@ -224,7 +226,8 @@ def free_attention_bound(pool: Pool, team: tuple[int, ...], travel: Travel) -> f
 
     It needs no search, so that it is there in a second on a task of some hundred states.
     """
-    return sum(group.count * group.with_free_attention() for group in groups_of(pool, team, travel, 0))
+    groups = groups_of(pool, team, travel, 0)
+    return summed(0.0, [(group.count, group.with_free_attention()) for group in groups])
 
 
 def members_of(pool: Pool, team: Sequence[int] | Sequence[str] | None) -> tuple[int, ...]:

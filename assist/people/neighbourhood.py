@@ -2,17 +2,25 @@
 
 The same map moves people's own theta and, at the grid's values, what a robot believes of it.
 
-Assumption. The robot sees all states, what was suggested (u), and the actions of each step (a).
+Assumptions. The prior is a product over people. The robot sees all states, what was suggested (u), the actions of each
+step (a), who goes on, and answers. Each answer, and who goes on, depends on one person's type alone. People's theta is
+on the grid at the beginning of each step.
 
 Claim. Beliefs about people stay independent of each other, so that a filter for each of them is exact.
 
 Proof. Let b_k be the belief about person k.
 
-1. Before the step the belief is a product, b = prod_k b_k, over types h_k and theta_k.
+1. Before the step the belief is a product, b = prod_k b_k, over types h_k and theta_k. At first that is the prior.
 2. P(a | h, theta, u) = prod_k P(a_k | h_k, theta_k, u_k), as each chooses by their own type and theta alone.
 3. After the step theta_k' = f(theta_k; u_k, a_k), then g(theta_k'; e_1, ..., e_n), with the events e of the neighbours.
 4. Each e is a function of states, u and a, which are known; so given (u, a), theta_k' depends on theta_k alone.
-5. Hence b' = prod_k b_k', where b_k' is the person's own posterior, moved by g: a product again.
+5. A theta between grid points is divided between both: the person is at one of them by a chance that is their own.
+6. An answer of person k, and that they go on, have a likelihood P(. | h_k), which changes b_k alone.
+7. Hence b' = prod_k b_k', where b_k' is the person's own posterior, moved by g: a product again.
+
+Goals of people that depend on each other are no product. A filter for each person then leaves out what others' actions
+tell of their goal. Theta that is not on the grid, as that of simulated people who are not of the model, is divided in
+beliefs only, which are no longer exact.
 """
 
 from __future__ import annotations

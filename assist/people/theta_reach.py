@@ -49,7 +49,8 @@ class ThetaReach:
     def of(cls, rule: SeenRule, grid: Grid, events: Sequence[tuple[Range, float]], most: int) -> Self:
         """Return how far theta comes by at most `most` events of some kinds.
 
-        The least and the largest theta after an event have to rise with theta: those after several are their iterates.
+        The least and the largest theta after an event have to rise with theta: those after several follow from them,
+        also if fewer events happen. This is checked at all thetas to which the rule is applied here.
 
         Parameters
         ----------
@@ -70,14 +71,15 @@ class ThetaReach:
                 f"neighbours: {type(rule).__name__} does not say how far theta can come; a bound expects a rule with "
                 "a method envelope(theta, gain, weight)"
             )
-        for one in events:
-            if any((np.diff(end) < -1e-12).any() for end in within(grid.values, *one)):
-                raise ValueError(
-                    f"neighbours: the envelope of {type(rule).__name__} falls somewhere as theta rises; a bound "
-                    "expects a least and a largest theta after an event that rise with theta"
-                )
         low, high = [grid.theta], [grid.theta]
         for _ in range(most):
+            reached = np.unique([grid.theta, low[-1], high[-1]])
+            for one in events:
+                if any((np.diff(end) < -1e-12).any() for end in within(reached, *one)):
+                    raise ValueError(
+                        f"neighbours: the envelope of {type(rule).__name__} falls somewhere as theta rises; a bound "
+                        "expects a least and a largest theta after an event that rise with theta"
+                    )
             low.append(np.min([low[-1], *(within(low[-1], *one)[0] for one in events)], axis=0))
             high.append(np.max([high[-1], *(within(high[-1], *one)[1] for one in events)], axis=0))
         return cls(grid, np.array(low), np.array(high))

@@ -42,7 +42,8 @@ def assigned(team: TeamState, worth: Floats) -> Ints:
 def placed(location: Ints, person: Ints) -> Ints:
     """Return where robots are after they were sent, all of shape (N, M).
 
-    A robot that is not sent leaves for its base, at no cost, if another one comes to the person it is with.
+    A robot that is not sent leaves for its base, at no cost, if another one comes to the person it is with. The model
+    assumes that it is there in the same step, however far the base is.
     """
     sent = person != NOBODY
     comes = sent & (person != location)

@@ -42,6 +42,8 @@ class Sent(NamedTuple):
 class RobotsAtWork:
     """The M robots of each of N teams.
 
+    A robot that makes room for another one is at its base in the same step, at no cost, however far that is.
+
     Parameters
     ----------
     fleet : Fleet

@@ -181,9 +181,28 @@ def test_who_sees_nothing_in_a_step_keeps_their_theta() -> None:
     pool = pool_of(TASKS["three steps"], Falls(), c_suggest=0.0, c_move=0.0, trust="constant")
     optimum, bound = informed_optimum(pool), upper_bound(pool, [0, 1])
     assert optimum - 1e-6 <= bound.upper
-    envelope = Envelope.of(pool, (0, 1), (0,))
+    envelope = Envelope.of(pool_of(TASKS["three steps"], Falls(), robots=2), (0, 1), (0,))
     assert isinstance(envelope, Envelope)
-    assert (envelope.reach.high == envelope.reach.grid.theta).all()
+    reach = envelope.reach
+    assert (reach.high == reach.grid.theta).all()
+    np.testing.assert_allclose(reach.low[2], np.maximum(reach.grid.theta - 2 * 0.36, 0))
+
+
+class Tilts(Boundless):
+    """A rule whose envelope rises on the grid of theta, and falls between its points, where it comes by two events."""
+
+    def envelope(self, theta: np.ndarray, gain: tuple[float, float], weight: float) -> tuple[np.ndarray, np.ndarray]:  # noqa: ARG002
+        on_grid = np.isclose(theta * 9, np.round(theta * 9))
+        return theta, np.minimum(theta + np.where(on_grid, 0.2, 0.0), 1.0)
+
+    def update(self, theta: np.ndarray, event: SeenEvent) -> np.ndarray:  # noqa: ARG002
+        return theta
+
+
+def test_an_envelope_rises_wherever_it_is_used(tiny: Table) -> None:
+    assert isinstance(Envelope.of(pool_of(tiny, Tilts()), (0, 1), (0,)), Envelope)
+    with pytest.raises(ValueError, match="the envelope of Tilts falls somewhere as theta rises"):
+        Envelope.of(pool_of(tiny, Tilts(), robots=2), (0, 1), (0,))
 
 
 def test_refusals(tiny: Table) -> None:
