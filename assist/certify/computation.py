@@ -77,7 +77,7 @@ class Relaxation:
     @property
     def upper(self) -> float:
         """The upper bound on the value of every team policy."""
-        return _summed(
+        return summed(
             self.paid, [(group.count, one.upper) for group, (_, one) in zip(self.groups, self.parts, strict=True)]
         )
 
@@ -97,7 +97,7 @@ class Relaxation:
         return all(solution.stopped == "gap" for _, solution in self.parts)
 
 
-def _summed(paid: float, bounds: Sequence[tuple[float, float]]) -> float:
+def summed(paid: float, bounds: Sequence[tuple[float, float]]) -> float:
     """Return what robots pay plus the bounds of groups of people, moved up by what rounding may take."""
     terms = [paid, *(count * upper for count, upper in bounds)]
     return sum(terms) + rounding(len(terms)) * sum(map(abs, terms))
@@ -238,7 +238,7 @@ class Computation:
         except KeyboardInterrupt as error:
             if not parts:
                 raise
-            upper = _summed(paid(price, self.pool.setting), [
+            upper = summed(paid(price, self.pool.setting), [
                 (group.count, parts[number][1].upper if number in parts else group.with_free_attention())
                 for number, group in enumerate(groups)
             ])  # fmt: skip

@@ -31,7 +31,7 @@ from ..team.pool import Pool
 from ..team.simulate import simulate
 from ..team.state import TeamAction, TeamState
 from .action_prices import supply
-from .envelope import Envelope, Lifted, OwnTheta
+from .envelope import Envelope, Lifted, OwnTheta, mean_at_most
 from .options import BoundOptions
 
 Ints = NDArray[np.int64]
@@ -84,7 +84,7 @@ class SubproblemGroup:
         """Return an upper bound on the value at any prices: that with free attention and observed beta and theta."""
         pomdp, layout, begin = self.visits.pomdp, self.visits.layout, self.visits.pomdp.model.choices.initial
         value = self.tail[layout.position[begin] * layout.states + layout.x[begin]]
-        return float((value * pomdp.prior).sum())
+        return mean_at_most(value, self.tail, pomdp)
 
     def at(self, price: Floats) -> AttentionSubproblem:
         """Return the subproblem at given prices, shape (3, W); the number of steps may differ."""

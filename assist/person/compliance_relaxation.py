@@ -219,7 +219,7 @@ def _sweep(value: Floats, stamp: NDArray[np.uint16], sweep: int, graph: _Graph, 
             continue
         total = 0.0
         for a in range(choices):
-            # As in `decision.choice`; the choices of a person with beta 0 do not depend on costs.
+            # As in `decision.choice`, by the same operations (`rounding`); with beta 0, costs have no effect.
             p[a] = np.exp(-beta * (p[a] - least)) if beta > 0.0 and least < np.inf else 1.0
             total += p[a]
         alone, mean, highest = 0.0, 0.0, -np.inf

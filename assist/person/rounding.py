@@ -6,6 +6,12 @@ roundoff (Higham, "Accuracy and stability of numerical algorithms", 2002, lemma 
 some sums as a difference, but only where the result is at least a tenth of the minuend. Its error is then ten times
 larger, at most. So the error is below 10 (N + 20) u, up to a relative 1e-9 for fewer than a million terms.
 
+The chances of choices are weights exp(-beta (Q - least)), whose exponent has a difference. People of the model choose
+by the exponents as they are computed, to the last bit. So these have no error: only weights and their sums do. Whoever
+computes a chance again, such as `compliance_relaxation`, does so by the operations of `decision.choice`: Q is the sum
+of a cost and a perceived cost-to-go, `least` is the smallest Q, and their difference is multiplied by -beta. No
+operation is exchanged or fused, so that the exponents are the same.
+
 `rounding(N)` is 1e-12 up to 800 terms, which is above 10 (800 + 20) u = 9.1e-13. Beyond, it grows in proportion.
 """
 

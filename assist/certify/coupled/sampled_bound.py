@@ -26,6 +26,10 @@ E[sum_{t < W} gamma^t D_t]. On every sample path the last sum is at least its mi
 **The minimum** is computed over joint states if they are few. Otherwise prices of the sample path bound it from below:
 for all mu_t >= 0, adding mu_t (sum_k u_k - M) <= 0 to D_t separates the agents. The result is a bound in both cases.
 (Ye, Zhu and Zhou, "Weakly coupled dynamic program: information and Lagrangian relaxations", arXiv 1405.3363, 2014.)
+
+**Time limits.** The number of paths may depend on the time that they take, as that tells nothing of their values: the
+minimum takes the same operations on each path, in all states and for all actions, whatever comes of them.
+(In `information_relaxation` a path's time does depend on its value. There the number is decided beforehand.)
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -308,6 +309,18 @@ def test_a_bound_is_what_peoples_problems_are_worth_and_what_is_paid(strangers: 
     assert bound.seconds > 0
     with pytest.raises(ValueError, match="read-only"):
         bound.price[0] = 0.0
+
+
+def test_the_first_bound_is_moved_up_by_what_rounding_may_take(pool: Pool, strangers: Pool) -> None:
+    for whose in (pool, strangers):
+        travel, exact = whose.setting.travel(2), Fraction(0)
+        for group in groups_of(whose, (0, 1), travel, 0):
+            pomdp = group.visits.pomdp
+            values = group.tail[pomdp.model.choices.initial].ravel().tolist()
+            terms = zip(values, pomdp.prior.ravel().tolist(), strict=True)
+            exact += Fraction(group.count) * sum(Fraction(value) * Fraction(chance) for value, chance in terms)
+        found = Fraction(team_bound.free_attention_bound(whose, (0, 1), travel))
+        assert abs(exact) / 10**12 < found - exact < abs(exact) / 10**9
 
 
 def test_a_bound_does_not_depend_on_who_works_on_it(strangers: Pool, bound: TeamBound) -> None:
