@@ -47,7 +47,6 @@ def study_prepare(
     """
     from ..declare.declared import plain
     from ..studies.reports.preregistration import register, require_new
-    from ..studies.userstudy.forecast import MOST
     from ..studies.userstudy.plan_file import read
 
     if check and links is not None:
@@ -66,8 +65,7 @@ def study_prepare(
             note(text)
         if difference is not None:
             for condition, needed in forecast.participants(difference):
-                enough = f"more than {MOST:,}" if needed is None else f"{needed:,}"
-                note(f"{condition} minus {study.reference}: {difference:g} actions per task take {enough} participants")
+                note(f"{condition} minus {study.reference}: {difference:g} actions per task take {needed} participants")
         if record is None:
             shown = [plain(one) for one in forecast.sensitivity()]
             counts = {"places": study.participants, "comparisons": study.comparisons}

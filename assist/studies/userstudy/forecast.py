@@ -1,14 +1,18 @@
-"""What a user study would show, and whom its policies would assist: by simulation, before the first participant."""
+"""What a user study would show, and whom its policies would assist: by simulation, before the first participant.
+
+Simulated people act as the model says, with parameters that are drawn from the study's population. Each of them is a
+participant once, in every condition. They are drawn in rounds until the standardised differences are known well, or
+`EFFORT` is spent, so that what is said depends little on the study's seed; intervals say how much it still does.
+"""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
-from itertools import cycle, islice
+from itertools import count, cycle, islice
 from statistics import fmean
 from typing import Annotated
 
@@ -17,7 +21,7 @@ from pydantic import Field
 
 from planner import CostToGo, Table
 
-from ...declare.declared import Count, Number, Text, declared
+from ...declare.declared import Count, Number, Text, Whole, declared
 from ...declare.tables import fault, located
 from ...people.decision import Floats
 from ...people.user_code import UserCodeError
@@ -33,11 +37,20 @@ from ..statistics import detectable
 from .plan import UserStudy
 from .session import policy_of
 
-PEOPLE, EPISODES = 24, 200
-"""Numbers of simulated people, and of episodes of each task with teams of them."""
+PEOPLE = 200
+"""Simulated people of a round."""
+
+EFFORT = 80_000
+"""Actions of simulated people after which no further round begins."""
+
+PRECISE = 0.1
+"""Half the width of the interval of a standardised difference, as a share of it, at which no further round begins."""
 
 BRIEF = 40
-"""Episodes that tell whether a policy hardly assists: the standard error of the share is 4 % of 120 people."""
+"""People who tell whether a policy hardly assists: with two mates each, the share's standard error is 4 %."""
+
+NORMAL = 1.96
+"""Standard errors from an estimate to an end of its 95 % interval."""
 
 MOST = 10_000
 """Number of participants beyond which no study is planned."""
@@ -55,21 +68,55 @@ class Sensitivity:
     hedges_g: Annotated[
         Number | None, Field(description="Least difference that four of five studies show, in standard deviations.")
     ] = None
-    actions: Annotated[Number | None, Field(description="The same in actions per task, as simulated people vary.")] = (
-        None
-    )
-    expected: Annotated[Number | None, Field(description="Difference of simulated people in actions per task.")] = None
-    needed: Annotated[Count | None, Field(description="Participants who would show this difference.")] = None
+    actions: Annotated[
+        Number | None, Field(description="The same in actions per task, as simulated people vary, with its interval.")
+    ] = None
+    actions_low: Number | None = None
+    actions_high: Number | None = None
+    expected: Annotated[
+        Number | None, Field(description="Difference of simulated people in actions per task, with its interval.")
+    ] = None
+    expected_low: Number | None = None
+    expected_high: Number | None = None
+    needed: Annotated[
+        Count | None,
+        Field(
+            description="Participants who would show this difference, with an interval; null if that of the difference "
+            f"includes 0, or for more than {MOST:,}."
+        ),
+    ] = None
+    needed_low: Count | None = None
+    needed_high: Count | None = None
+    simulated: Annotated[Whole, Field(ge=0, description="Units, participants or groups, that were simulated.")] = 0
 
     def __str__(self) -> str:
         said = []
         if self.hedges_g is not None:
-            actions = "" if self.actions is None else f"{self.actions:.1f} actions per task, "
+            actions = "" if self.actions is None else f"{_spanned(self.actions, self.actions_low, self.actions_high)} "
+            actions += "actions per task, " if actions else ""
             said += [f"with {self.units} in each, four of five studies show {actions}g = {self.hedges_g:.2f}, or more"]
         if self.expected is not None:
-            enough = f"more than {MOST:,}" if self.needed is None else f"{self.needed:,}"
-            said += [f"simulated people differ by {self.expected:.1f}, which takes {enough} participants in all"]
+            difference = _spanned(self.expected, self.expected_low, self.expected_high)
+            found = f"simulated people differ by {difference}"
+            if _is_known(self.expected_low, self.expected_high):
+                enough = Needed(self.needed, self.needed_low, self.needed_high)
+                said += [f"{found}, which takes {enough} participants in all"]
+            else:
+                said += [f"{found}, so that {self.simulated:,} of them do not tell how many participants it takes"]
         return f"{self.condition} minus {self.against}: {'; '.join(said) or 'cannot be tested'}"
+
+
+@dataclass(frozen=True)
+class Needed:
+    """A number of participants with an interval; None stands for more than `MOST`."""
+
+    value: int | None
+    low: int | None
+    high: int | None
+
+    def __str__(self) -> str:
+        value, low, high = (f"more than {MOST:,}" if n is None else f"{n:,}" for n in (self.value, self.low, self.high))
+        return value if low == high else f"{value} ({low} to {high})"
 
 
 @dataclass(frozen=True)
@@ -79,7 +126,7 @@ class Forecast:
     Attributes
     ----------
     study : UserStudy
-    actions : dict of arrays, shape (EPISODES,)
+    actions : dict of arrays, shape (units,)
         By condition, the actions per task of each unit of analysis, a participant or a group; NaN of those who do not
         finish. Rows are the same units, each time with random numbers of their own. Empty if no task can be simulated.
     assisted : dict of float
@@ -100,7 +147,7 @@ class Forecast:
         tasks : mapping of str to CostToGo
             Tasks by name. Those that are solved on demand are too large to be simulated here.
         briefly : bool
-            Whether only what `seldom_assisted` needs is simulated, in fewer episodes; `actions` is then empty.
+            Whether only what `seldom_assisted` needs is simulated, with fewer people; `actions` is then empty.
 
         Raises
         ------
@@ -114,26 +161,25 @@ class Forecast:
         known = [table for name, _ in study.tasks if isinstance(table := tasks[name], Table)]
         if not known:
             return cls(study, {}, {})
-        actions, assisted = {}, {}
-
-        @cache  # conditions with the same setting have the same people
-        def pool_of(setting: Setting, place: int) -> Pool:
-            return Pool.sample(known[place], PEOPLE, seed=study.seed, setting=setting, population=study.population)
-
-        for number, one in enumerate(study.conditions):
-            if briefly and one.policy not in WEIGHING:
-                continue
-            policy, episodes = policies[number], BRIEF if briefly else EPISODES
-            with _own_code(study, number + 1, policy):
-                found = [
-                    _simulated(study, policy, pool_of(one.setting, place), (number, place), episodes)
-                    for place in range(len(known))
-                ]
-            members = 1 if study.group is None else study.group.size
-            each = [np.where(run.finished, run.actions, np.nan)[:, :members].mean(axis=1) for run in found]
-            actions[one.name] = np.mean(each, axis=0)
-            assisted[one.name] = 100 * fmean(float((run.helped > 0).mean()) for run in found)
-        return cls(study, {} if briefly else actions, assisted)
+        found, spent = cls(study, {}, {}), 0
+        names = [one.name for one in study.conditions if not briefly or one.policy in WEIGHING]
+        actions: dict[str, list[Floats]] = {name: [] for name in names}
+        assisted: dict[str, list[float]] = {name: [] for name in names}
+        for number in count():
+            people = _Round(study, known, number, BRIEF if briefly else PEOPLE)
+            for name in names:
+                place = [one.name for one in study.conditions].index(name)
+                with _own_code(study, place + 1, policies[place]):
+                    runs = people.simulated(place, policies[place])
+                each = [np.where(run.finished, run.actions, np.nan)[:, : people.members].mean(axis=1) for run in runs]
+                actions[name].append(np.mean(each, axis=0))
+                assisted[name].append(100 * fmean(float((run.helped > 0).mean()) for run in runs))
+                spent += sum(int(run.actions.sum()) for run in runs)
+            joined = {} if briefly else {name: np.concatenate(own) for name, own in actions.items()}
+            found = cls(study, joined, {name: fmean(own) for name, own in assisted.items()})
+            if briefly or spent >= EFFORT or all(found._difference(name).is_precise for name in found._compared):
+                return found
+        raise AssertionError("rounds have no end")
 
     def seldom_assisted(self) -> Iterator[str]:
         """Yield a sentence on each condition whose policy weighs costs and hardly assists anybody."""
@@ -161,29 +207,40 @@ class Forecast:
         The test is that of the report, without Holm's adjustment: Student's t at 5 %, within participants adjusted for
         the period.
         """
-        study = self.study
-        each = self._each
+        study, each = self.study, self._each
         units = None if study.participants is None else study.participants // each
-        for one in (one.name for one in study.conditions if one.name != study.reference):
-            spread, expected = self._difference(one)
+        for one in self._compared:
+            found = self._difference(one)
+            low, high = found.expected_interval
+            known = _is_known(low, high)
+            needed = self._needed(one, found.size, found.size_interval) if known else Needed(None, None, None)
             g = math.nan if units is None else self._detectable(one, units)
+            actions_low, actions_high = (_known(g * end) for end in found.spread_interval)
             yield Sensitivity(
                 condition=one, against=study.reference, units=units or None, hedges_g=_known(g),
-                actions=_known(g * spread), expected=_known(expected),
-                needed=self._needed(one, expected / spread, each),
+                actions=_known(g * found.spread), actions_low=actions_low, actions_high=actions_high,
+                expected=_known(found.expected), expected_low=_known(low), expected_high=_known(high),
+                needed=needed.value, needed_low=needed.low, needed_high=needed.high, simulated=found.units,
             )  # fmt: skip
 
-    def participants(self, difference: float) -> Iterator[tuple[str, int | None]]:
+    def participants(self, difference: float) -> Iterator[tuple[str, Needed]]:
         """Yield how many participants show a difference from the reference in actions per task, for each condition.
 
-        It is None where more than `MOST` are needed, or where no task can be simulated.
+        Where no task can be simulated, these are more than `MOST`.
 
         Parameters
         ----------
         difference : float
         """
-        for one in (one.name for one in self.study.conditions if one.name != self.study.reference):
-            yield one, self._needed(one, difference / self._difference(one)[0], self._each)
+        for one in self._compared:
+            found = self._difference(one)
+            low, high = found.spread_interval
+            yield one, self._needed(one, difference / found.spread, (difference / high, difference / low))
+
+    @property
+    def _compared(self) -> list[str]:
+        """The conditions that are compared with the reference."""
+        return [one.name for one in self.study.conditions if one.name != self.study.reference]
 
     @property
     def _each(self) -> int:
@@ -191,11 +248,16 @@ class Forecast:
         size = 1 if self.study.group is None else self.study.group.size
         return size if self.study.is_within else size * len(self.study.conditions)
 
-    def _needed(self, condition: str, size: float, each: int) -> int | None:
-        """Return the number of participants who show a standardised difference, where a unit takes `each` of them."""
-        every = range(MOST // each + 1)
-        found = bisect_left(every, True, lo=2, key=lambda units: self._detectable(condition, units) <= abs(size))
-        return found * each if found in every else None
+    def _needed(self, condition: str, size: float, interval: tuple[float, float]) -> Needed:
+        """Return the participants who show a standardised difference, which is in an interval on one side of 0."""
+        nearer, farther = sorted(map(abs, interval))
+        return Needed(*(self._enough(condition, one) for one in (abs(size), farther, nearer)))
+
+    def _enough(self, condition: str, size: float) -> int | None:
+        """Return the number of participants who show a standardised difference of this size."""
+        every = range(MOST // self._each + 1)
+        found = bisect_left(every, True, lo=2, key=lambda units: self._detectable(condition, units) <= size)
+        return found * self._each if found in every else None
 
     def _detectable(self, condition: str, units: int) -> float:
         """Return the standardised difference from the reference that some units show with 80 % power."""
@@ -204,16 +266,130 @@ class Forecast:
         orders = islice(cycle(self.study.orders.values()), units)
         return detectable_within([(order.index(condition), order.index(self.study.reference)) for order in orders])
 
-    def _difference(self, condition: str) -> tuple[float, float]:
-        """Return the standard deviation that the test of a condition meets, and the mean difference."""
+    def _difference(self, condition: str) -> _Difference:
+        """Return the difference of a condition from the reference."""
         if not self.actions:
-            return math.nan, math.nan
+            return _Difference.of(np.empty(0), np.empty(0), paired=True)
         own, other = self.actions[condition], self.actions[self.study.reference]
-        if self.study.is_within:
-            spread = float(np.nanstd(own - other, ddof=1))
-        else:
-            spread = math.sqrt((np.nanvar(own, ddof=1) + np.nanvar(other, ddof=1)) / 2)
-        return spread, float(np.nanmean(own) - np.nanmean(other))
+        both = np.isfinite(own) & np.isfinite(other)
+        return _Difference.of(own[both], other[both], paired=self.study.is_within)
+
+
+@dataclass(frozen=True)
+class _Difference:
+    """The difference of simulated units between two conditions, with 95 % intervals.
+
+    Attributes
+    ----------
+    units : int
+        Units that finish in both conditions.
+    expected : float
+        The mean difference.
+    spread : float
+        The standard deviation that the test meets.
+    errors : tuple of float
+        Standard errors of `expected`, of the logarithm of `spread`, and of `size`.
+    """
+
+    units: int
+    expected: float
+    spread: float
+    errors: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, own: Floats, other: Floats, *, paired: bool) -> _Difference:
+        """Return the difference of two conditions of the same units; `paired` if participants have both.
+
+        Standard errors are those of means of linear approximations, which take numbers of actions as skewed as they
+        are.
+        """
+        n = len(own)
+        if n < 2:
+            return cls(n, math.nan, math.nan, (math.nan,) * 3)
+        apart = own - other
+        expected, off = float(apart.mean()), apart - apart.mean()
+        squares = off**2 if paired else ((own - own.mean()) ** 2 + (other - other.mean()) ** 2) / 2
+        variance = float(squares.sum()) / (n - 1)
+        if variance == 0:
+            return cls(n, expected, 0.0, (0.0, 0.0, math.nan))
+        spread = math.sqrt(variance)
+        of_spread = (squares - squares.mean()) / (2 * variance)
+        each = (off, of_spread, off / spread - expected / spread * of_spread)
+        found = [float(one.std(ddof=1)) / math.sqrt(n) for one in each]
+        return cls(n, expected, spread, (found[0], found[1], found[2]))
+
+    @property
+    def size(self) -> float:
+        """The standardised difference."""
+        return self.expected / self.spread if self.spread else math.copysign(math.inf, self.expected)
+
+    @property
+    def expected_interval(self) -> tuple[float, float]:
+        """The interval of the mean difference."""
+        return self.expected - NORMAL * self.errors[0], self.expected + NORMAL * self.errors[0]
+
+    @property
+    def spread_interval(self) -> tuple[float, float]:
+        """The interval of the standard deviation."""
+        factor = math.exp(NORMAL * self.errors[1])
+        return self.spread / factor, self.spread * factor
+
+    @property
+    def size_interval(self) -> tuple[float, float]:
+        """The interval of the standardised difference; one end is 0 where it would include 0."""
+        ends = self.size - NORMAL * self.errors[2], self.size + NORMAL * self.errors[2]
+        return (max(ends[0], 0.0), ends[1]) if self.size > 0 else (ends[0], min(ends[1], 0.0))
+
+    @property
+    def is_precise(self) -> bool:
+        """Whether the standardised difference is known as well as `PRECISE` says."""
+        return NORMAL * self.errors[2] <= PRECISE * abs(self.size)
+
+
+class _Round:
+    """People who take part in all conditions of a study, each of them once as a participant.
+
+    Parameters
+    ----------
+    study : UserStudy
+    tasks : sequence of Table
+    number : int
+        Number of the round, from 0.
+    people : int
+    """
+
+    def __init__(self, study: UserStudy, tasks: Sequence[Table], number: int, people: int) -> None:
+        self._study, self._tasks, self._number = study, tasks, number
+        self.members = 1 if study.group is None else study.group.size
+        rng = np.random.default_rng([study.seed, 4, number])
+        own = rng.permutation(people)[: people // self.members * self.members].reshape(-1, self.members)
+        others = np.tile(np.arange(1, people), (len(own), 1))
+        mates = (own[:, :1] + rng.permuted(others, axis=1)[:, : study.simulated]) % people
+        self._teams, self._people = np.hstack([own, mates]), people
+        self._pools: dict[tuple[Setting, int], Pool] = {}
+
+    def simulated(self, place: int, policy: str | TeamPolicy) -> list[Episodes]:
+        """Return the episodes of a condition, one run for each task; their random numbers are the condition's own."""
+        study, setting = self._study, self._study.conditions[place].setting
+        found = []
+        for number in range(len(self._tasks)):
+            seed = _drawn([study.seed, 5, self._number, place, number])
+            pool = self._pool(setting, number)
+            found.append(simulate(pool, policy, humans=self._teams, episodes=len(self._teams), seed=seed))
+        return found
+
+    def _pool(self, setting: Setting, task: int) -> Pool:
+        """Return the people at a task; conditions with the same setting have the same ones."""
+        if (setting, task) not in self._pools:
+            self._pools[setting, task] = Pool.sample(
+                self._tasks[task], self._people, seed=_drawn([self._study.seed, 3, self._number]), setting=setting,
+                population=self._study.population,
+            )  # fmt: skip
+        return self._pools[setting, task]
+
+
+def _drawn(words: list[int]) -> int:
+    return int(np.random.default_rng(words).integers(2**63))
 
 
 @contextmanager
@@ -231,15 +407,14 @@ def _own_code(study: UserStudy, number: int, policy: str | TeamPolicy | None = N
             raise fault(study.file, place, str(error)) from None
 
 
-def _simulated(
-    study: UserStudy, policy: str | TeamPolicy, pool: Pool, number: tuple[int, ...], episodes: int
-) -> Episodes:  # fmt: skip
-    """Simulate the same teams of the same people; their random numbers are those of the condition alone."""
-    team = 1 + study.simulated if study.group is None else study.group.size
-    teams = np.random.default_rng([study.seed, 4]).permuted(np.tile(np.arange(PEOPLE), (EPISODES, 1)), axis=1)[:, :team]
-    seed = int(np.random.default_rng([study.seed, 5, *number]).integers(2**63))
-    return simulate(pool, policy, humans=teams[:episodes], episodes=episodes, seed=seed)
-
-
 def _known(number: float) -> float | None:
     return number if math.isfinite(number) else None
+
+
+def _is_known(low: float | None, high: float | None) -> bool:
+    """Whether an interval has ends on one side of 0."""
+    return low is not None and high is not None and (low > 0 or high < 0)
+
+
+def _spanned(value: float, low: float | None, high: float | None) -> str:
+    return f"{value:.1f}" if low is None or high is None else f"{value:.1f} ({low:.1f} to {high:.1f})"

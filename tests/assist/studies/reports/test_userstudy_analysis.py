@@ -624,7 +624,8 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
 
 
 def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
+    monkeypatch.setattr("assist.studies.userstudy.forecast.PEOPLE", 40)
+    monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
     file = written(tmp_path / "study.toml", CONFIRMED.replace("seed = 3", "seed = 3\nparticipants = 13"))
     said = invoke("study-prepare", file, "--check")
     printed = json.loads(said.stdout)
@@ -687,7 +688,8 @@ class fickle:
 def test_a_fault_of_an_own_policy_is_said_in_one_line_before_anything_is_registered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: str, said: str
 ) -> None:
-    monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
+    monkeypatch.setattr("assist.studies.userstudy.forecast.PEOPLE", 40)
+    monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
     (tmp_path / "own.py").write_text(OWN_CODE)
     text = CONFIRMED.replace('policy = "attention"', f'policy = "own.py:{policy}"')
     file = written(tmp_path / "study.toml", text)
@@ -703,7 +705,8 @@ def test_a_fault_of_an_own_policy_is_said_in_one_line_before_anything_is_registe
 def test_a_fault_of_an_own_trust_rule_is_not_said_of_the_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
+    monkeypatch.setattr("assist.studies.userstudy.forecast.PEOPLE", 40)
+    monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
     (tmp_path / "own.py").write_text(OWN_CODE)
     monkeypatch.chdir(tmp_path)
     file = written(tmp_path / "study.toml", CONFIRMED.replace("[setting]", '[setting]\ntrust = "own.py:fickle"'))
@@ -715,7 +718,7 @@ def test_a_fault_of_an_own_trust_rule_is_not_said_of_the_policy(
 
 @pytest.mark.cases
 def test_participants_who_show_a_difference_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("assist.studies.userstudy.forecast.EPISODES", 40)
+    monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
     made, forecast = dict[str, Forecast](), Forecast.of
 
     def once(study: Any, tasks: Any) -> Forecast:
@@ -731,7 +734,7 @@ def test_participants_who_show_a_difference_are_counted(tmp_path: Path, monkeypa
 
         def counted(difference: float, file: Path = file) -> int:
             said = invoke("study-prepare", file, "--check", "--difference", difference).stderr
-            (found,) = re.findall(r"attention minus none: \S+ actions per task take ([\d,]+) participants", said)
+            (found,) = re.findall(r"attention minus none: \S+ actions per task take ([\d,]+) \(.*\) participants", said)
             return int(found.replace(",", ""))
 
         assert counted(1.001 * shown["actions"]) == 24

@@ -12,6 +12,7 @@ from userstudies import PLAN, written
 
 from assist.studies.repeated_measures import within_participants
 from assist.studies.statistics import between_groups
+from assist.studies.userstudy import forecast as forecasts
 from assist.studies.userstudy.forecast import Forecast, Sensitivity
 from assist.studies.userstudy.plan_file import read
 from planner import Table
@@ -20,7 +21,9 @@ from planner import Table
 def forecast(folder: Path, tiny: Table, more: str = "participants = 24", like: Forecast | None = None) -> Forecast:
     """Return the forecast of a study; one `like` it has the same people, tasks and conditions."""
     study = read(written(folder / "study.toml", PLAN.replace("seed = 3", f"seed = 3\n{more}")))
-    return Forecast.of(study, {"tiny": tiny}) if like is None else replace(like, study=study)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(forecasts, "EFFORT", 0)  # one round, whose people are enough here
+        return Forecast.of(study, {"tiny": tiny}) if like is None else replace(like, study=study)
 
 
 @pytest.fixture(scope="module")
@@ -54,11 +57,72 @@ def test_what_no_simulation_says_is_left_out(found: Forecast, tiny: Table, tmp_p
     assert [str(one) for one in Forecast(found.study, {}, {}).sensitivity()] == [
         "attention minus none: with 12 in each, four of five studies show g = 1.20, or more"
     ]
-    alone = Sensitivity(condition="a", against="b", units=6, hedges_g=1.796, actions=4.0, expected=-0.01)
+    alone = Sensitivity(
+        condition="a", against="b", units=6, hedges_g=1.796, actions=4.0, expected=-0.01, expected_low=-0.015,
+        expected_high=-0.005, simulated=200,
+    )  # fmt: skip
     assert str(alone) == (
         "a minus b: with 6 in each, four of five studies show 4.0 actions per task, g = 1.80, or more; simulated "
-        "people differ by -0.0, which takes more than 10,000 participants in all"
+        "people differ by -0.0 (-0.0 to -0.0), which takes more than 10,000 participants in all"
     )
+
+
+@pytest.mark.cases
+def test_no_number_of_participants_is_said_where_simulated_people_may_not_differ(
+    found: Forecast, tiny: Table, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(0)
+    other = rng.gamma(0.5, 20.0, 400)
+    for design in ("between", "within"):
+        study = forecast(tmp_path, tiny, f'participants = 24\ndesign = "{design}"', found).study
+        for more, known in ((0.0, False), (-6.0, True)):
+            own = rng.permutation(other) + rng.normal(more, 1.0, 400)
+            (shown,) = Forecast(study, {"attention": own, "none": other}, {}).sensitivity()
+            assert shown.expected_low is not None
+            assert shown.expected_high is not None
+            assert shown.simulated == 400
+            assert (shown.expected_high < 0) == known
+            assert (shown.needed is not None) == known
+            assert ("400 of them do not tell how many participants" in str(shown)) == (not known)
+            if known:
+                assert shown.needed_low is not None
+                assert shown.needed is not None
+                assert shown.needed_low < shown.needed
+                assert shown.needed_high is None or shown.needed < shown.needed_high
+                ((_, counted),) = Forecast(study, {"attention": own, "none": other}, {}).participants(
+                    shown.expected or 0
+                )
+                assert counted.value == shown.needed
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_intervals_of_a_forecast_hold_where_numbers_of_actions_are_skewed(paired: bool) -> None:
+    """Gamma numbers, whose means and deviations are known: of 400 intervals, 95 % should hold, and 91 % do surely."""
+    rng, held = np.random.default_rng(1), np.zeros(3)
+    spread = math.sqrt(2 * 50) if paired else math.sqrt(50)
+    for _ in range(400):
+        own, other = rng.gamma(2.0, 5.0, (2, 500))
+        one = forecasts._Difference.of(own + 2.0, other, paired=paired)
+        size = one.size - 1.96 * one.errors[2], one.size + 1.96 * one.errors[2]
+        pairs = ((one.expected_interval, 2.0), (one.spread_interval, spread), (size, 2.0 / spread))
+        held += [low <= true <= high for (low, high), true in pairs]
+    assert (held / 400 > 0.91).all(), held / 400
+
+
+def test_rounds_end_when_the_effort_is_spent_and_each_has_people_of_its_own(
+    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = read(written(tmp_path / "study.toml"))
+    monkeypatch.setattr(forecasts, "PEOPLE", 20)
+    ended = []
+    for effort in (0, 2000):
+        monkeypatch.setattr(forecasts, "EFFORT", effort)
+        ended.append(Forecast.of(study, {"tiny": tiny}))
+    few, more = (one.actions["none"] for one in ended)
+    assert (len(few), len(more) % 20) == (20, 0)
+    assert 40 <= len(more) < 200
+    assert (more[:20] == few).all()
+    assert (more[20:40] != few).any()
 
 
 def test_fewer_episodes_say_whether_a_policy_hardly_assists(found: Forecast, tiny: Table, tmp_path: Path) -> None:
