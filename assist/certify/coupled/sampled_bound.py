@@ -28,8 +28,9 @@ for all mu_t >= 0, adding mu_t (sum_k u_k - M) <= 0 to D_t separates the agents.
 (Ye, Zhu and Zhou, "Weakly coupled dynamic program: information and Lagrangian relaxations", arXiv 1405.3363, 2014.)
 
 **Time limits.** The number of paths may depend on the time that they take, as that tells nothing of their values: the
-minimum takes the same operations on each path, in all states and for all actions, whatever comes of them.
-(In `information_relaxation` a path's time does depend on its value. There the number is decided beforehand.)
+minimum takes the same operations on each path, in all states and for all actions, whatever comes of them. To draw a
+next state takes longer the later it stands in its row; that is a small part of the time, and is neglected. (In
+`information_relaxation` a path's time does depend on its value. There the number is decided beforehand.)
 """
 
 from __future__ import annotations
