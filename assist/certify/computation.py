@@ -21,7 +21,7 @@ from planner.system.limits import processors
 from planner.system.progress import Progress, adding
 from planner.system.threads import on_threads
 
-from ..people.arguments import positive, require_options, whole
+from ..people.arguments import fraction, positive, require_options, whole
 from ..people.decision import Floats, Ints
 from ..person.attention_subproblem import AttentionSubproblem
 from ..person.memory_needed import MEMORY_LIMIT_MB, depth_within
@@ -145,7 +145,7 @@ class Computation:
         if len(travel) != len(team):
             raise ValueError(f"travel for {len(travel)}: expected {len(team)} people")
         return cls(
-            pool, team, travel, gap=effort.get("gap", 1e-3), start=time.perf_counter(),
+            pool, team, travel, gap=fraction("gap", effort.get("gap", 1e-3)), start=time.perf_counter(),
             limit=math.inf if seconds is None else positive("time_limit", seconds),
             memory_limit_mb=effort.get("memory_limit_mb", MEMORY_LIMIT_MB),
             paths=whole("paths", effort.get("paths", 0)), workers=whole("jobs", effort.get("jobs") or processors(), 1),

@@ -50,7 +50,9 @@ class LikelihoodTable(ByContent):
     counts : int array, shape (K,)
         Number of choices of each person.
     heard : int array, shape (K,)
-        Number of suggestions to each person; later entries fill up the arrays.
+        Number of suggestions to each person, with each goal; later entries fill up the arrays.
+    told, accepted : int arrays, shape (K,)
+        Number of suggestions to each person, and of those that were followed: once, whatever the number of goals.
     anew : bool array, shape (K, H)
         Whether an episode begins between this suggestion and the one before.
     followed : bool array, shape (K, H)
@@ -74,6 +76,8 @@ class LikelihoodTable(ByContent):
     people: tuple[str, ...]
     counts: Ints
     heard: Ints
+    told: Ints
+    accepted: Ints
     anew: NDArray[np.bool_]
     followed: NDArray[np.bool_]
     data: tuple[Data, ...]
@@ -112,6 +116,7 @@ class LikelihoodTable(ByContent):
             theta = 1 / (1 + np.exp(-np.linspace(-end, end, THETAS)))
         every = [Data.of(o, method) for o in observations]
         heard = np.array([len(data.heard) for data in every], dtype=np.int64)
+        told, accepted = np.zeros((2, len(every)), dtype=np.int64)
         shape = (len(every), int(heard.max(initial=0)))
         anew, followed, agrees, optimal = (np.zeros(shape, dtype=bool) for _ in range(4))
         gain, silences = np.zeros(shape), np.zeros((shape[0], shape[1] + 1, 2), dtype=np.int64)
@@ -121,13 +126,16 @@ class LikelihoodTable(ByContent):
             _count_silences(silences[k], data, o.begins.cumsum()[step] * len(o.goals.prior) + goal)
             goal, step = goal[data.heard], step[data.heard]
             slot, to = o.suggested[step], slice(0, len(data.heard))
+            once = np.unique(step)
+            told[k], accepted[k] = len(once), (o.chosen[once] == o.suggested[once]).sum()
             anew[k, to], followed[k, to], gain[k, to] = data.anew, o.chosen[step] == slot, o.by_goal("gain")[goal, step]
             agrees[k, to], optimal[k, to] = (
                 o.by_goal("excess")[goal, step, slot] <= 0,
                 o.by_goal("optimal")[goal, step, slot],
             )
         return cls(
-            tuple(o.person for o in observations), np.array([len(o) for o in observations]), heard, anew, followed,
+            tuple(o.person for o in observations), np.array([len(o) for o in observations]), heard, told, accepted,
+            anew, followed,
             tuple(every), tuple(silent for _, silent in alone), tuple(chances for chances, _ in alone),
             PerceivedSuggestions(gain, agrees, optimal), beta, theta,
             SightTable.of([o.seen for o in observations], heard.tolist(), shape[1]), silences,
@@ -165,11 +173,6 @@ class LikelihoodTable(ByContent):
         for name in ("people", "data", "silent", "chances"):
             chosen[name] = tuple(compress(getattr(self, name), people.tolist()))
         return replace(self, suggestions=suggestions, seen=self.seen.only(people), **chosen)
-
-    @property
-    def accepted(self) -> Ints:
-        """The number of suggestions that each person followed, shape (K,)."""
-        return (self.followed & (np.arange(self.followed.shape[1]) < self.heard[:, None])).sum(axis=1)
 
     def thetas(self, rule: TrustRule, *, carry: bool = True) -> tuple[Floats, Floats]:
         """Return theta at each suggestion, shape (K, H, T), and after the last one, (K, T), from each theta_0.

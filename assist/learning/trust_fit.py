@@ -192,7 +192,7 @@ def fit_influence(
     mass = mass.reshape(len(mass), -1)
     people = [
         Influence(
-            person, int(log.heard[k]), int(log.accepted[k]),
+            person, int(log.told[k]), int(log.accepted[k]),
             float(log.beta @ beta[k]), _shown(equal_tailed(np.log(log.beta), beta[k], method.level), np.exp),
             float(log.theta @ theta[k]), _shown(equal_tailed(logit(log.theta), theta[k], method.level), expit),
             float(after[k] @ mass[k]), equal_tailed(after[k], mass[k], method.level),

@@ -217,7 +217,7 @@ class Answered(OfPerson):
     """An answer to the robot's question."""
 
     kind: Literal["answered"] = "answered"
-    answer: Annotated[Truth | Action | None, Expected("an action, True, False or None")] = None
+    answer: Annotated[Truth | Action | None, Expected("an action, true, false or null")] = None
     """Whether the goal is theirs; the last action; null for no answer."""
     seq: Seq | None = None
     """`seq` of the view with the question; answers to earlier questions are refused."""

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
-from ..declare.refusals import InapplicableError
+from ..declare.refusals import InapplicableError, Refusal
 from ..people.decision import NOTHING
 from ..people.goals import Goals
 from ..people.ranges import Population, require_populations
@@ -259,6 +259,11 @@ class Knowledge:
         """Record a person's answer, after which the open question is closed; errors as in `Reports.answer`."""
         record = self.known(person)
         if isinstance(answer, str):
+            if record.question is not None and record.question.goal is not None and not answer.strip().startswith("("):
+                why = (
+                    f"answer: the question is whether the goal is {record.question.goal}; expected true, false or null"
+                )
+                raise Refusal("other", why=why)
             if not record.steps:
                 raise InapplicableError("nothing_to_ask", person=person)
             self.seen.require_all_seen()

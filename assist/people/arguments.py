@@ -58,6 +58,14 @@ def within(name: str, value: object, low: float, high: float) -> float:
     return found
 
 
+def fraction(name: str, value: object) -> float:
+    """Return a value as a float from 0 to 1."""
+    found = None if isinstance(value, str) else number(name, value)
+    if found is None or not 0 <= found <= 1:
+        raise ValueError(f"{name} {value!r}: expected a fraction from 0 to 1, such as 0.05 for 5 %")
+    return found
+
+
 def one_of(name: str, value: object, choices: Sequence[str]) -> None:
     """Check that a value is one of some words."""
     if value not in choices:

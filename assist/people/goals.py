@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from planner import CostToGo, Table, Transitions, known_costs, optimal_choices
+from planner.system.errors import expected
 
 from .choices import WAIT, Choices
 from .decision import Bools, Floats, Ints
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 Task = TypeVar("Task", bound=CostToGo)
 
 
-def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None) -> Floats:
+def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None, name: str = "prior") -> Floats:
     """Return the probability of each goal, after checking the given ones.
 
     Parameters
@@ -32,6 +33,8 @@ def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None)
     goals : mapping of str to CostToGo
     prior : mapping of str to float, or None
         None if all goals are equally probable.
+    name : str
+        What messages call the prior.
 
     Raises
     ------
@@ -43,13 +46,15 @@ def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None)
     if prior is None:
         return np.full(len(goals), 1 / len(goals))
     if set(prior) != set(goals):
-        odd = min(set(prior) ^ set(goals))
-        raise ValueError(f"prior: '{odd}' is {'no goal' if odd in prior else 'missing'}; expected {', '.join(goals)}")
-    shares = np.array([float(prior[name]) for name in goals])
-    wrong = [name for name, share in zip(goals, shares, strict=True) if not share >= 0]
+        odd = min(set(prior) - set(goals), default=None)
+        if odd is not None:
+            raise ValueError(f"{name}: '{odd}' is no goal; {expected(odd, goals)}")
+        raise ValueError(f"{name}: '{min(set(goals) - set(prior))}' is missing; expected {', '.join(goals)}")
+    shares = np.array([float(prior[goal]) for goal in goals])
+    wrong = [goal for goal, share in zip(goals, shares, strict=True) if not share >= 0]
     if wrong or not abs(shares.sum() - 1) <= 1e-6:
         found = f"'{wrong[0]}' has {float(prior[wrong[0]]):g}" if wrong else f"sum {shares.sum():g}"
-        raise ValueError(f"prior: {found}; expected numbers of 0 or more that add up to 1")
+        raise ValueError(f"{name}: {found}; expected numbers of 0 or more that add up to 1")
     return shares / shares.sum()
 
 

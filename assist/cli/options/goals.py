@@ -97,7 +97,7 @@ def several_goals(
     max_states: int = SolveOptions.max_states,
 ) -> Goals | None:
     """Return the goals of INSTANCE and of further problems; None if there is one only."""
-    from ...people.goals import Goals
+    from ...people.goals import Goals, prior_over
 
     if not problems:
         return None
@@ -107,6 +107,7 @@ def several_goals(
     except LimitError as error:
         fail(f"--goals: {error}; expected a task of at most {max_states:,} states", ExitCode.FAILED)
     with usage_errors():
+        prior_over(known, prior or None, "goal_prior")
         return Goals(known, prior)  # type: ignore[arg-type]
 
 

@@ -171,13 +171,18 @@ def with_goals(
     setting: GoalSetting | EstimateSetting,
 ) -> Evidence:  # fmt: skip
     """Replay a log in the tasks of several goals. Expected errors end the command in one line."""
+    from ...people.goals import prior_over
+
     every = list(dict.fromkeys(str(found.problem) for found in find_instances(problems, domain)))
 
     def loaded() -> dict[str, CostToGo]:
-        return goals_of(
+        found = goals_of(
             every, domain=domain, max_states=setting.max_states, time_limit=setting.time_limit, cache=_cache(setting),
             jobs=reading.jobs,
         )  # fmt: skip
+        with usage_errors():
+            prior_over(found, setting.goal_prior or None, "goal_prior")
+        return found
 
     return reading.replayed(file, setting, loaded, prior=setting.goal_prior or None)
 

@@ -490,6 +490,9 @@ def test_policies_are_certified_by_their_names(pool: Pool) -> None:
     for run in (partial(certify, pool, policies), partial(found.certify, "none")):
         with pytest.raises(ValueError, match=r"^episodes 1: expected a whole number of 2 or more"):
             run(episodes=1)
+    for gap, shown in ((5, "5"), ("5%", "'5%'"), (-0.1, "-0.1")):
+        with pytest.raises(ValueError, match=rf"^gap {shown}: expected a fraction from 0 to 1, such as 0.05 for 5 %"):
+            upper_bound(pool, gap=gap)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"^time_limit -1: expected more than 0"):
         certify(pool, policies, time_limit=-1)
 

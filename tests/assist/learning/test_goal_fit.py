@@ -15,6 +15,7 @@ from test_unknown_goals import PRIOR, three_goals
 
 from assist.learning import FittedPeople, Log, Method, fit, fit_influence, infer_goals, log_likelihood, mixture
 from assist.people import Goals, choice, influence, lapse
+from assist.people.decision import NOTHING
 from planner import Table
 
 BETA = np.array([0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
@@ -80,6 +81,10 @@ def test_influence_is_not_carried_where_goals_are_unknown() -> None:
     with pytest.raises(ValueError, match="carry: expected False, since each episode has one of several goals"):
         fit_influence(observations, "constant")
     found = fit_influence(observations, "constant", METHOD, carry=False)
+    for o, one in zip(observations, found.people, strict=True):  # each suggestion counts once, not for each goal
+        heard = o.suggested != NOTHING
+        followed = (o.chosen == o.suggested)[heard]
+        assert (one.suggestions, one.followed) == (int(heard.sum()), int(followed.sum()))
     own = [log_likelihood(o, np.array([one.beta]), np.array([one.theta_first]), np.array([0.0]), METHOD).item()
            for o, one in zip(observations, found.people, strict=True)]  # fmt: skip
     assert found.log_likelihood < sum(own) < found.log_likelihood + 5 * len(own)

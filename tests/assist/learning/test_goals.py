@@ -271,7 +271,12 @@ def test_errors_of_the_command_are_one_line(log: Path, tmp_path: Path) -> None:
     code, line = fault(travel, KITTING / "tiny.pddl", log)
     assert (code, "expected problems that differ in their goals" in line) == (1, True)
     assert fault(travel, stuck, log, *own) == (1, f"{stuck}: the goal {UNREACHABLE}")
-    assert fault(travel, log, "--set", "goal_prior=mend=1") == (2, "Error: prior: 'mend' is no goal; expected travel")
+    assert fault(travel, log, "--set", "goal_prior=mend=1") == (
+        2, "Error: goal_prior: 'mend' is no goal; expected one of travel",
+    )  # fmt: skip
+    assert fault(travel, KITS / "mend.pddl", log, "--set", "goal_prior=travel=.5,mennd=.5") == (
+        2, "Error: goal_prior: 'mennd' is no goal; did you mean 'mend'?",
+    )  # fmt: skip
     assert fault(travel, log, "--set", "goal_prior=travel") == (
         2,
         "Error: --set goal_prior: travel; expected GOAL=PROBABILITY, once for each goal",

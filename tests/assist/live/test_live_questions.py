@@ -115,8 +115,13 @@ def test_who_has_said_what_their_goal_is_finishes_for_certain() -> None:
 def test_a_question_is_open_until_it_is_answered_declined_or_overtaken() -> None:
     team = desk()
     question = asked(team)
-    with pytest.raises(Refusal, match="answer 3: expected an action, True, False or None"):
+    with pytest.raises(Refusal, match="answer 3: expected an action, true, false or null"):
         team.answer("ann", 3)  # type: ignore[arg-type]
+    for text in ("yes", "mend"):
+        said = f"answer: the question is whether the goal is {question.goal}; expected true, false or null"
+        with pytest.raises(Refusal, match=said) as refused:
+            team.answer("ann", text)
+        assert refused.value.status == 422
     team.elapse()
     assert (team.recommend().question, team.recommend().suggestion, team.questions) == (None, None, (question,))
     team.answer("ann", None)
