@@ -102,16 +102,31 @@ def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, An
     InputFileError
         The file belongs to another session; the message states all differences.
     """
+    found, expected = _without_folders(found), _without_folders(expected)
     differ = {n: v for n, v in expected.items() if n not in ("files", "version") and found.get(n) != v}
     if not differ:
         return
     said, tasks = list[str](), differ.get("tasks")
+    before, now = found.get("moves"), differ.get("moves")
+    if isinstance(before, Mapping) and isinstance(now, Mapping) and before.keys() == now.keys():
+        others = ", ".join(name for name in now if now[name] != before[name])
+        said.append(f"the rule of {others} leads theta elsewhere than when the session began, so its code has changed")
+        del differ["moves"]
     if tasks is not None and isinstance(found.get("tasks"), dict):
         said.append(_others(found, differ.pop("tasks"), expected.get("files", {})))
     if differ:
         shown = (one for name, value in differ.items() for one in _shown(name, found.get(name), value))
         said.append(f"the session there has {'; '.join(shown)}")
     raise InputFileError(f"{file}: {'; '.join(said)}; expected the same, or another folder")
+
+
+def _without_folders(value: Any) -> Any:
+    """Return a header in which the user's code FILE.py:NAME has no folder: hashes tell whether it is the same."""
+    if isinstance(value, Mapping):
+        return {name: one if name == "files" else _without_folders(one) for name, one in value.items()}
+    if isinstance(value, str) and ".py:" in value:
+        return value.rpartition("/")[2]
+    return value
 
 
 def _others(header: Mapping[str, Any], tasks: dict[str, str], files: dict[str, str | None]) -> str:

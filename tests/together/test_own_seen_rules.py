@@ -141,7 +141,7 @@ def test_a_saved_team_and_a_session_go_on_with_the_same_rule_only(own: Path, tmp
 
     Other.__qualname__ = "Contagion"
     Session(tiny, tmp_path / "session.sqlite", setting=setting(Contagion())).close()
-    with pytest.raises(InputFileError, match=r"moves neighbours\.rule"):
+    with pytest.raises(InputFileError, match=r"the rule of neighbours\.rule leads theta elsewhere"):
         Session(tiny, tmp_path / "session.sqlite", setting=setting(Other()))
 
 

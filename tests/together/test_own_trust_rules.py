@@ -145,8 +145,29 @@ def test_a_session_goes_on_with_the_same_rule_only(tmp_path: Path) -> None:
             return super().update(theta, event) * 0.5
 
     Other.__qualname__ = "Disappointed"
-    with pytest.raises(InputFileError, match="moves trust"):
+    said = "the rule of trust leads theta elsewhere than when the session began, so its code has changed; expected"
+    with pytest.raises(InputFileError, match=said):
         Session(tiny, journal, setting=Setting(trust=Other(0.3)))
+
+
+@pytest.mark.cases
+def test_a_session_goes_on_from_another_folder_with_the_same_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A service that the system starts again has another working folder."""
+    tiny, file = sweep(TINY), tmp_path / "code" / "rules.py"
+    file.parent.mkdir()
+    file.write_text(OWN)
+
+    def opened(folder: Path, rule: str) -> None:
+        monkeypatch.chdir(folder)
+        Session(tiny, tmp_path / "session.sqlite", setting=Setting(trust=rule)).close()
+
+    for folder, rule in ((file.parent, "rules.py:strongly"), (tmp_path, "code/rules.py:strongly")):
+        opened(folder, rule)
+    opened(tmp_path, f"{file}:strongly")
+    with pytest.raises(InputFileError, match=r"setting trust rules\.py:strongly, not rules\.py:Disappointed"):
+        opened(tmp_path, "code/rules.py:Disappointed")
 
 
 def rule(update: Any, **attributes: Any) -> Any:
