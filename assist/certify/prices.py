@@ -179,10 +179,7 @@ def groups_of(
     _require_room_for_all([one[0] for one in given], [one[4] for one in given], window, memory_limit_mb)
     groups = []
     for one, chance, places, entry, entry_steps, envelope in given:
-        # Where ways take time, one of several robots may leave while another is on its way, so that nobody waits. A
-        # single robot cannot: what its waiting costs makes the bound tighter.
-        relayed = entry_steps > 0 and len(pool.setting.robots) > 1
-        alone = one.problem.unattended() if relayed else one.problem
+        alone = one.problem.unattended() if pool.setting.fleet.relays(entry_steps) else one.problem
         free = AttentionSubproblem.of(alone, entry, entry_steps)
         tail, priced = envelope.tail(free), one.outer is None
         visits = AttentionSubproblem.of(alone, entry, entry_steps, np.zeros(window)) if priced else free

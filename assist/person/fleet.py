@@ -81,6 +81,14 @@ class Fleet:
         """Return whether the robots ever have to choose among so many people: there are fewer robots."""
         return len(self) < people
 
+    def relays(self, entry_steps: int) -> bool:
+        """Return whether one robot may leave a person while another is on its way there, so that no robot waits.
+
+        `entry_steps` is the time in which a robot comes to the person. Without it, or for a robot alone, what waiting
+        costs is paid in each step in which somebody is attended to and nothing is suggested.
+        """
+        return entry_steps > 0 and len(self) > 1
+
     def attention(self, people: ArrayLike) -> Floats:
         """Return the share of a robot's attention that each of so many people at work gets, at most 1."""
         return np.minimum(1.0, len(self) / np.maximum(1, people))
