@@ -11,10 +11,11 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from . import numeric_compiler
-from .conditions import TRUE
+from .conditions import COMPLEMENT, TRUE
 from .declarations import Symbol
-from .formulas import listed, word
+from .formulas import TIMES, listed, word
 from .instances import Expression
+from .numeric_expressions import terms_of
 from .reader import Action, DurativeAction, Reading, Rule
 from .value_sets import Trial
 
@@ -102,12 +103,27 @@ def without_value(reading: Reading) -> Iterator[str]:
     """Yield a sentence on each function that conditions of actions read, and that never has a value."""
     actions = [each for each in reading.domain.entries if not isinstance(each, Rule)]
     known = {term[0] for term in reading.problem.values}
-    known |= {part.parts[1].head for each in actions for part in each.effect.walk() if part.head == "assign"}
+    assigned = {
+        part.parts[1].head: each.name
+        for each in actions
+        for part in each.effect.walk()
+        if part.head == "assign" and part.parts[1].head not in _compared(condition_of(each)) - known
+    }
+    known |= assigned.keys()
     for name in reading.domain.functions:
         readers = [each.name for each in actions if any(part.head == name for part in condition_of(each).walk())]
         if readers and name not in known and name != "total-cost":
             of = f"condition of {readers[0]}" if len(readers) == 1 else f"conditions of {', '.join(readers)}"
             yield f"({name}) has no value at the beginning, so that no comparison with it holds, as in the {of}"
+
+
+def _compared(condition: Expression) -> set[str]:
+    """Return the functions without whose value a condition does not hold: those of comparisons that it surely makes."""
+    if condition.head in ("and", *TIMES):
+        return {name for part in condition.parts[1:] for name in _compared(part)}
+    if condition.head in COMPLEMENT:
+        return {term.head for side in condition.parts[1:] for term in terms_of(side)}
+    return set()
 
 
 def compiled(reading: Reading, *, most_values: int = MOST_VALUES) -> Compilation:

@@ -47,3 +47,10 @@ def test_a_function_that_never_has_a_value_is_told(tmp_path: Path) -> None:
         "(:action walk", "(:action charge :parameters () :effect (assign (battery) 2)) (:action walk"
     )
     assert "has no value" not in solved(tmp_path, given, PROBLEM.replace("(= (battery) 3)", ""))
+    needs = given.replace("charge :parameters ()", "charge :parameters () :precondition (and (< (battery) 3))")
+    printed = " ".join(solved(tmp_path, needs, PROBLEM.replace("(= (battery) 3)", "")).split())
+    assert "so that no comparison with it holds, as in the conditions of charge, walk" in printed
+    timed = """(:durative-action charge :parameters () :duration (= ?duration 1)
+        :condition (at start (< (battery) 3)) :effect (at end (assign (battery) 2))) (:action walk"""
+    printed = solved(tmp_path, DOMAIN.replace("(:action walk", timed), PROBLEM.replace("(= (battery) 3)", ""))
+    assert "so that no comparison with it holds, as in the conditions of charge, walk" in " ".join(printed.split())
