@@ -10,7 +10,16 @@ import click
 from ..declare.options import Given, setting_options
 from .options.common import apart, baseline_option, figures_option, json_option, out_option, separate_files, together
 from .options.help import command
-from .options.log import ReadingOptions, TaskLog, folds_option, method_of, reading_options, task_log_options, with_task
+from .options.log import (
+    ReadingOptions,
+    TaskLog,
+    carried,
+    folds_option,
+    method_of,
+    reading_options,
+    task_log_options,
+    with_task,
+)
 from .options.settings import OF_INFLUENCE, EstimateSetting
 from .options.trust import AdviceOptions, ComparedRules, advice_of, advice_options, compared_rules
 from .output.comparisons import ComparisonFiles, models_compared, rules_compared, show_comparison
@@ -102,7 +111,7 @@ def compare_rules(
         task, file, inputs = log.found()
         separate_files({"--out": files.out}, inputs)
         seen = with_task(task, file, reading, setting)
-        carry = not setting.theta_per_episode
+        carry = carried(seen, setting)
         compared = rules_compared(seen, seen.log.name, method, folds, carry=carry, beside=trust, rules=chosen)
         show_comparison(compared, files)
     if not seen.complete:

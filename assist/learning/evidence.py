@@ -126,6 +126,11 @@ class Evidence(ByContent):
         ]
 
 
+def is_carried(people: object, carry: bool | None) -> bool:
+    """Return whether theta is carried from episode to episode: as given, or else unless a simulation wrote the log."""
+    return not (isinstance(people, Evidence) and people.log.simulated) if carry is None else carry
+
+
 def replayed(
     task: Tasks, log: Records, *, evaluate: Callable[[Ints], EvaluatedStates] | None = None,
     tell: Callable[[Log, tuple[Fault, ...]], None] | None = None, **reading: Unpack[Reading],

@@ -23,7 +23,7 @@ from .advice_log import AdviceLog
 from .advice_model import AdviceModel
 from .advice_rules import DEFAULT_STEPS, OF_THE_PAPER, ONE_THETA, RULES, Rule
 from .comparison import FOLDS, Comparison, Fitted, FitTo, Some, compared, folds_of
-from .evidence import Evidence, observations_of
+from .evidence import Evidence, is_carried, observations_of
 from .hierarchy import pooled
 from .likelihood import Method
 from .likelihood_table import LikelihoodTable
@@ -105,7 +105,7 @@ def compare_models(
 @shows_progress
 def compare_rules(
     people: Evidence | Sequence[Observations] | AdviceLog, method: Method | None = None, *,
-    rules: Rules | None = None, beside: str | TrustRule | None = None, folds: int = FOLDS, carry: bool = True,
+    rules: Rules | None = None, beside: str | TrustRule | None = None, folds: int = FOLDS, carry: bool | None = None,
     time_limit: float | None = None, progress: Wanted = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of trust rules by the log probability of the choices of held-out people.
@@ -127,7 +127,7 @@ def compare_rules(
         beside this one.
     folds : int
         Groups of people that are left out in turn.
-    carry : bool
+    carry : bool, optional
         As for `fit_influence`.
     time_limit : float, optional
         Seconds after which no further model is begun; those without a result are in `Comparison.left_out`.
@@ -142,7 +142,7 @@ def compare_rules(
         There are fewer than two folds, or there is no such rule, or the likelihood is not finite.
     """
     assert callable(progress)
-    method = method or Method()
+    method, carry = method or Method(), is_carried(people, carry)
     if beside is not None:
         if rules is not None:
             raise ValueError(f"beside '{beside}': expected no other rules")

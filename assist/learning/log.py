@@ -130,6 +130,8 @@ class Log(Result):
         How the file was interpreted, such as 'NA' as a missing value; empty for a plain file.
     questions : tuple of str
         A sentence, also in `note`, for each column that is not read and may have the suggestions.
+    simulated : bool
+        Whether a simulation wrote it, in which theta begins anew in each episode: it has its policy and the true theta.
     """
 
     entries: tuple[Entry, ...]
@@ -139,6 +141,7 @@ class Log(Result):
     name: str = "log"
     note: str = ""
     questions: tuple[str, ...] = ()
+    simulated: bool = False
 
     def __repr__(self) -> str:
         episodes, faults = len({entry.names for entry in self.entries}), len(self.faults)
@@ -319,7 +322,7 @@ def _log(records: Iterable[Row], gaps: bool, name: str, taken: Taken) -> Log:
     return Log(
         tuple(entry for entry in entries if entry.names not in incomplete),
         tuple(sorted(faults, key=lambda fault: fault.line)), frozenset(people), frozenset(called), name, note,
-        tuple(taken.asked),
+        tuple(taken.asked), taken.simulated,
     )  # fmt: skip
 
 

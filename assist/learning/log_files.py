@@ -261,6 +261,7 @@ def named_rows(
     keys = {key: plain(key).lower() for key in head}
     keys |= {key: plain(key).lower() for _, record in rows if isinstance(record, Mapping) for key in map(str, record)}
     _check(columns, list(keys.values()), name)
+    taken.simulated = set(keys.values()) >= OF_A_SIMULATION
     source = _sources(columns)
     renamed = {key: name for name, own in source.items() for key, plain_key in keys.items() if plain_key == own}
     found: list[Row] = []
@@ -279,6 +280,9 @@ def named_rows(
         taken.asked += _asked(cells, actions)
     return found
 
+
+OF_A_SIMULATION = frozenset(("policy", "theta"))
+"""Columns with what only a simulation knows, which writes both."""
 
 HINTS = frozenset(
     ("advice", "advised", "hint", "hints", "proposal", "recommendation", "recommended", "suggested", "suggestions")

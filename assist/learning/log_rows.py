@@ -47,6 +47,7 @@ class Taken:
     heads: list[int] = field(default_factory=list)
     doubtful: list[int] = field(default_factory=list)
     asked: list[str] = field(default_factory=list)
+    simulated: bool = False
 
     def __str__(self) -> str:
         said = list(self.said)

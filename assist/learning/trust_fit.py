@@ -23,7 +23,7 @@ from planner.system.results import Result
 from ..people.decision import Floats
 from ..people.trust_rules import TrustRule, plain_rule
 from .distribution import Margin, PopulationFit
-from .evidence import Evidence
+from .evidence import Evidence, is_carried
 from .influence_population import InfluencePopulation
 from .intervals import Interval, equal_tailed
 from .likelihood import Method
@@ -139,7 +139,7 @@ class InfluenceFit(Result):
 
 def fit_influence(
     observations: Evidence | Sequence[Observations], rule: str | TrustRule | RuleFamily, method: Method | None = None,
-    *, carry: bool = True,
+    *, carry: bool | None = None,
 ) -> InfluenceFit:  # fmt: skip
     """Return each person's influence under a trust rule.
 
@@ -155,8 +155,9 @@ def fit_influence(
     method : Method, optional
         Level of the intervals, lapse, and what is known beforehand. With neighbours, theta also moves by the rule of
         this name, whose parameters are estimated, too; or by one of the user's own, taken unchanged.
-    carry : bool
-        Whether theta is carried from episode to episode, in the order of their names.
+    carry : bool, optional
+        Whether theta is carried from episode to episode, in the order of their names. Unless given, it is, but for the
+        log of a simulation, in which theta begins anew in each episode.
 
     Raises
     ------
@@ -167,7 +168,7 @@ def fit_influence(
     ValueError
         There is no rule of that name; or theta is to be carried, but each episode has one of several goals.
     """
-    method = method or Method()
+    method, carry = method or Method(), is_carried(observations, carry)
     family = rule_beside(family_of(rule, method), method)
     log = LikelihoodTable.of_advised(observations, method, carry=carry)
     search = RuleSearch(log, family, carry)

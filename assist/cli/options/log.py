@@ -47,6 +47,16 @@ def method_of(setting: EstimateSetting) -> Method:
     return Method(**{name: getattr(setting, name) for name in names_of(Method)})
 
 
+def carried(seen: Evidence, setting: EstimateSetting) -> bool | None:
+    """Return whether theta is carried from episode to episode, if the setting says it; else say what the log tells."""
+    if setting.theta_per_episode is not None:
+        return not setting.theta_per_episode
+    if seen.log.simulated:
+        said = "a simulation wrote the log (policy, theta), so that theta begins anew in each episode"
+        click.echo(f"{seen.log.name}: {said}; --set theta_per_episode=false carries it over", err=True)
+    return None
+
+
 class ReadingOptions(NamedTuple):
     """How a log is read besides the command's setting."""
 

@@ -216,9 +216,12 @@ OF_INFLUENCE = ("theta_per_episode", "neighbours")
 class EstimateSetting(Method, ReadingSetting):
     """The setting of an estimation from a log."""
 
-    theta_per_episode: Annotated[Truth, Field(description="Whether influence (theta) begins anew in each episode.")] = (
-        False
-    )
+    theta_per_episode: Annotated[
+        Truth | None,
+        Field(
+            description="Whether influence (theta) begins anew in each episode; of simulated people only, unless given."
+        ),
+    ] = None
     confidence: Annotated[
         Literal["own", "one"],
         Field(

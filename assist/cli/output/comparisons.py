@@ -34,8 +34,8 @@ def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
 
 
 def rules_compared(
-    people: Evidence | AdviceLog, name: str, method: Method, folds: int, *, carry: bool, beside: str | None = None,
-    rules: Sequence[str] = (),
+    people: Evidence | AdviceLog, name: str, method: Method, folds: int, *, carry: bool | None,
+    beside: str | None = None, rules: Sequence[str] = (),
 ) -> Comparison:  # fmt: skip
     """Compare trust rules on the people of a file with this name, or rules of what they see of others beside one.
 

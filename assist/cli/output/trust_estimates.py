@@ -9,6 +9,7 @@ import click
 
 from planner.system.files import write_records
 
+from ..options.log import carried
 from ..terminal.console import ExitCode, fail, print_json, print_table
 from .people_estimates import FitFiles, interval_head, interval_of, write_population
 
@@ -25,7 +26,7 @@ def show_influence(seen: Evidence, rule: str, method: Method, setting: EstimateS
     from ...learning.trust_fit import fit_influence
 
     try:
-        found = fit_influence(seen, rule, method, carry=not setting.theta_per_episode)
+        found = fit_influence(seen, rule, method, carry=carried(seen, setting))
     except ValueError as error:
         fail(f"{seen.log.name}: {error}", ExitCode.FAILED)
     if files.population:

@@ -71,13 +71,13 @@ class Sensitivity:
     actions: Annotated[
         Number | None, Field(description="The same in actions per task, as simulated people vary, with its interval.")
     ] = None
-    actions_low: Number | None = None
-    actions_high: Number | None = None
+    actions_low: Annotated[Number | None, Field(description="Low end of its 95 % interval.")] = None
+    actions_high: Annotated[Number | None, Field(description="High end.")] = None
     expected: Annotated[
         Number | None, Field(description="Difference of simulated people in actions per task, with its interval.")
     ] = None
-    expected_low: Number | None = None
-    expected_high: Number | None = None
+    expected_low: Annotated[Number | None, Field(description="Low end of its 95 % interval.")] = None
+    expected_high: Annotated[Number | None, Field(description="High end.")] = None
     needed: Annotated[
         Count | None,
         Field(
@@ -85,8 +85,8 @@ class Sensitivity:
             f"includes 0, or for more than {MOST:,}."
         ),
     ] = None
-    needed_low: Count | None = None
-    needed_high: Count | None = None
+    needed_low: Annotated[Count | None, Field(description="Low end of its 95 % interval.")] = None
+    needed_high: Annotated[Count | None, Field(description="High end.")] = None
     simulated: Annotated[Whole, Field(ge=0, description="Units, participants or groups, that were simulated.")] = 0
 
     def __str__(self) -> str:

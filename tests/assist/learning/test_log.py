@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import KITTING, kit
+from conftest import KITTING, invoke, kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of, write_log
 
 from assist.cli import main
-from assist.learning import EvaluatedStates, Log, Method, observe, read_log
+from assist.learning import EvaluatedStates, Log, Method, fit_influence, observe, read_log, replayed
 from assist.learning.log import told
 from assist.learning.maximum_likelihood import maximum_likelihood
 from assist.learning.replay import replay
@@ -469,3 +469,25 @@ def test_what_depends_on_an_unknown_cost_is_left_out(tiny: Table) -> None:
     np.testing.assert_array_equal(whole.targets, recording.targets)
     left, counts = recording.evaluated(np.full(len(tiny), np.nan))
     assert (len(left), left.people, counts) == (0, (), {"ann": 4, "bob": 6})
+
+
+@pytest.mark.cases
+def test_theta_begins_anew_in_each_episode_of_a_simulations_log_unless_asked(tmp_path: Path) -> None:
+    file, plain = tmp_path / "log.jsonl", tmp_path / "plain.jsonl"
+    given = ("--humans", 2, "--pool", 2, "--policy", "reactive", "--episodes", 10, "--seed", 4)
+    assert invoke("simulate", "kitting/tiny", *given, "--trace", file).exit_code == 0
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    plain.write_text("".join(json.dumps({n: v for n, v in row.items() if n != "theta"}) + "\n" for row in rows))
+    found = {}
+    for log, more in ((file, ()), (file, ("true",)), (file, ("false",)), (plain, ())):
+        asked = [word for value in more for word in ("--set", f"theta_per_episode={value}")]
+        result = invoke("fit", "kitting/tiny", log, "--influence", "constant", "--json", *asked)
+        document = json.loads(result.stdout)
+        found[log, more] = document["carried"], document["log_likelihood"]
+        told = "theta begins anew in each episode; --set theta_per_episode=false carries it over" in result.stderr
+        assert told == ((log, more) == (file, ()))
+    assert found[file, ()] == found[file, ("true",)]
+    assert found[plain, ()] == found[file, ("false",)]
+    assert (found[file, ()][0], found[plain, ()][0]) == (False, True)
+    log = replayed(kit("tiny"), file)
+    assert (fit_influence(log, "constant").carried, fit_influence(log, "constant", carry=True).carried) == (False, True)
