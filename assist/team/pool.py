@@ -262,6 +262,8 @@ class Pool(Result):
     @classmethod
     def joined(cls, pools: Sequence[Pool]) -> Pool:
         """Return the union of pools with different tasks, models or costs of suggestions, as `union` does."""
+        if isinstance(pools, Pool):
+            raise TypeError("joined: expected a list of pools, such as [pool, other]")
         return union(pools)
 
     @property

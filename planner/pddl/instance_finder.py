@@ -248,6 +248,8 @@ def _instance(problem: Path, domain: str | Path | None, heads: Heads) -> Instanc
 
 def missing(instance: Instance) -> PDDLError | None:
     """Return the error for an instance without a domain file or a problem file; None if it has both."""
+    if instance.problem.is_dir():
+        return PDDLError(instance.problem, None, "is a folder; expected the file of a problem")
     heads = Heads()
     problem, domain = heads[instance.problem], heads[instance.domain]
     if problem.is_domain and (domain.is_domain or not instance.domain.exists()):

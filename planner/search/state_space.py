@@ -213,7 +213,11 @@ class StateSpace:
         ------
         ValueError
             An action is not applicable in its state.
+        TypeError
+            The plan is one text.
         """
+        if isinstance(plan, str):
+            raise TypeError(f"plan {plan!r}: expected a list of actions, such as [{plan!r}]")
         at = self.initial if state is None else state
         for step, action in enumerate(plan):
             options = self.options(at)

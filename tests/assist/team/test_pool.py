@@ -200,6 +200,12 @@ def test_a_field_of_ones_own_is_one_of_the_whole_team(tiny: Table) -> None:
     assert Pool.joined(pools[:1] * 2).setting == pools[0].setting
 
 
+@pytest.mark.cases
+def test_a_pool_alone_is_no_list_of_pools(tiny: Table) -> None:
+    with pytest.raises(TypeError, match=r"joined: expected a list of pools, such as \[pool, other\]"):
+        Pool.joined(Pool.sample(tiny, 1, seed=1))  # type: ignore[arg-type]
+
+
 def test_pools_with_other_rates_of_trust_are_joined(tiny: Table) -> None:
     """The rate of equation 7 belongs to each person's model, whether the rule is named or not."""
     people = Population(beta=(0.1, 0.3), theta=(0.3, 0.3))

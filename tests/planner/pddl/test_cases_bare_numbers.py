@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from assist.cli import main
-from planner import load
+from planner import PDDLError, cost_to_go, load, sweep
 
 pytestmark = pytest.mark.cases
 
@@ -34,6 +34,14 @@ def solved(folder: Path, domain: str, problem: str) -> str:
 
 def test_a_function_without_brackets_is_the_function(tmp_path: Path) -> None:
     assert "(walk a b)\n(walk b c)" in solved(tmp_path, DOMAIN, PROBLEM)
+
+
+def test_a_plan_in_one_text_and_a_folder_in_place_of_a_file_are_told(tmp_path: Path) -> None:
+    solved(tmp_path, DOMAIN, PROBLEM)
+    with pytest.raises(TypeError, match=r"plan '\(walk a b\)': expected a list of actions, such as \['\(walk a b\)'\]"):
+        sweep(tmp_path / "problem.pddl").space.follow("(walk a b)")
+    with pytest.raises(PDDLError, match=r"is a folder; expected the file of a problem"):
+        cost_to_go(tmp_path)
 
 
 def test_a_function_that_never_has_a_value_is_told(tmp_path: Path) -> None:
