@@ -32,7 +32,19 @@ SHOWN = {
 class Episode:
     """The record of one episode: an entry of each array of `Episodes`.
 
-    What concerns people is a tuple with one entry per person; `people` are their names.
+    What concerns people is a tuple with one entry per person. The meanings are those of the arrays of `Episodes`.
+
+    Attributes
+    ----------
+    policy : str
+    episode : int
+    people : tuple of str
+        Their names.
+    beta, theta, sigma, costs : tuples of float
+    actions, helped, executed : tuples of int
+    finished : tuple of bool
+    interventions, moves, steps : int
+    discounted_return : float
     """
 
     policy: str
