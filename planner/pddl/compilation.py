@@ -90,7 +90,7 @@ class Compiler:
         if self._numeric is None:
             return Compilation(self.reading)
         found = self._numeric.result(trial)
-        notes = (*found.notes, *without_value(self.reading))
+        notes = (*found.notes, *without_value(self.reading), *self._numeric.forgotten())
         return Compilation(found.reading, found.unit, found.actions, found.numbers, found.compiled, notes)
 
 

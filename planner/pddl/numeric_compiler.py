@@ -7,13 +7,15 @@ encoding as facts (`numeric_encoding`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import product
+from math import prod
 
 from ..system.errors import UnsuitedError
 from . import metric, numeric_encoding, numeric_schemas, timed_schemas, value_encoder
-from .conditions import FALSE, is_numeric, normal_form
+from .conditions import FALSE, TRUE, conjuncts, free_variables, is_numeric, normal_form
 from .declarations import OBJECT, REQUIREMENTS, Symbol, Typed, Types, refuse
 from .formulas import LARGEST_COST, Cost, listed, word
 from .instances import Expression
@@ -27,6 +29,9 @@ from .value_encoder import Encoder
 from .value_ranges import Bounds, Proofs
 from .value_scope import Scope
 from .value_sets import GroundChange, Trial, ValueSets, ground_changes, initial_values
+
+MOST_ROWS = 10_000
+"""Combinations of objects up to which forgotten values are searched for."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,9 @@ class Compiler:
         timed = timed_schemas.of_reading(reading)
         goal = normal_form(reading.problem.goal, self.objects)
         rules = [(rule, normal_form(rule.condition, self.objects)) for rule in reading.domain.rules]
+        self._required = {
+            each.name: [part for _, condition in each.conditions for part in conjuncts(condition)] for each in timed
+        }
         changing = numeric_schemas.changing(timed)
         self.metric = metric.of_reading(reading, changing)
         self.roles = numeric_schemas.roles(timed, goal, (condition for _, condition in rules), self.metric)
@@ -89,6 +97,56 @@ class Compiler:
             if action is not None:
                 actions.append(action)
         return self._assembled(encoder, actions)
+
+    def forgotten(self) -> Iterator[str]:
+        """Yield a sentence on each static function that most objects have a value of, but not all that an action takes.
+
+        The action is never applicable to the others. Objects that an action takes twice do not count, such as a way
+        from a place to itself. Functions of one object are left out: that an object has no value is often meant.
+        """
+        found: dict[str, tuple[set[tuple[str, ...]], set[tuple[str, ...]], dict[str, None]]] = {}
+        for each in self.reading.domain.entries:
+            if isinstance(each, Rule) or each.name not in self._required:
+                continue
+            formulas = (each.precondition, each.effect) if isinstance(each, Action) else (
+                each.duration, each.condition, each.effect)  # fmt: skip
+            kinds = self._kinds(each.parameters)
+            for term in dict.fromkeys(part for formula in formulas for part in formula.walk()):
+                names = [part.word for part in term.parts[1:]]
+                if term.head not in self.statics.values or len(names) < 2 or not kinds.keys() >= set(names):
+                    continue
+                given = self.statics.values[term.head]
+                rows = self._taken(names, kinds, self._required[each.name])
+                without, have, readers = found.setdefault(term.head, (set(), set(), {}))
+                have |= rows & given.keys()
+                if lacking := rows - given.keys():
+                    without |= lacking
+                    readers[each.name] = None
+        for name, (without, have, readers) in found.items():
+            if without and len(without) < len(have):
+                first = f"({' '.join((name, *min(without)))})"
+                verb = "is" if len(readers) == 1 else "are"
+                others = f", as {len(without) - 1} more" if len(without) > 1 else ""
+                yield f"{first} has no value{others}, so that {' and '.join(readers)} {verb} not applicable there"
+
+    def _taken(
+        self, names: list[str], kinds: Mapping[str, str], conditions: Iterable[Expression]
+    ) -> set[tuple[str, ...]]:
+        """Return the different objects for variables that the static facts of conditions on them admit."""
+        own = list(dict.fromkeys(names))
+        each = [self.statics.of_kind(kinds[name]) for name in own]
+        if prod(map(len, each)) > MOST_ROWS:
+            return set()
+        facts = [
+            part for part in conditions
+            if part.head in self.statics.facts and free_variables(part).keys() <= set(own)
+        ]  # fmt: skip
+        found = set()
+        for row in product(*each):
+            bound = dict(zip(own, row, strict=True))
+            if len(set(row)) == len(row) and all(self.statics.simplified(part, bound) == TRUE for part in facts):
+                found.add(tuple(bound[name] for name in names))
+        return found
 
     def _add_weights(self) -> None:
         """Add a static function with the weight of each fluent of the metric."""

@@ -36,6 +36,29 @@ def test_a_function_without_brackets_is_the_function(tmp_path: Path) -> None:
     assert "(walk a b)\n(walk b c)" in solved(tmp_path, DOMAIN, PROBLEM)
 
 
+WAYS = """
+(define (domain ways) (:requirements :typing :durative-actions :numeric-fluents) (:types place)
+ (:predicates (at ?x - place)) (:functions (distance ?x ?y - place))
+ (:durative-action roll :parameters (?x ?y - place) :duration (= ?duration (distance ?x ?y))
+  :condition (at start (at ?x)) :effect (and (at start (not (at ?x))) (at end (at ?y)))))
+"""
+
+
+def test_a_way_whose_length_was_forgotten_is_told(tmp_path: Path) -> None:
+    """The action is not applicable there, so that the plan is a detour; a sparse table of ways is meant."""
+    pairs = [(x, y) for x in "abc" for y in "abc" if x != y]
+
+    def printed(known: list[tuple[str, str]]) -> str:
+        ways = " ".join(f"(= (distance {x} {y}) 2)" for x, y in known)
+        problem = f"(define (problem w) (:domain ways) (:objects a b c - place) (:init (at a) {ways}) (:goal (at c)))"
+        return " ".join(solved(tmp_path, WAYS, problem).split())
+
+    assert "has no value" not in printed(pairs)
+    said = "(distance a c) has no value, so that roll is not applicable there"
+    assert said in printed([pair for pair in pairs if pair != ("a", "c")])
+    assert "has no value" not in printed([("a", "b"), ("b", "c")])
+
+
 def test_a_plan_in_one_text_and_a_folder_in_place_of_a_file_are_told(tmp_path: Path) -> None:
     solved(tmp_path, DOMAIN, PROBLEM)
     with pytest.raises(TypeError, match=r"plan '\(walk a b\)': expected a list of actions, such as \['\(walk a b\)'\]"):
