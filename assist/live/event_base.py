@@ -86,9 +86,12 @@ class Event(Recorded):
     line: ClassVar[Line | None] = None
     """What pages show while `undo` takes it back, with a button for it; {value} is how many there are in the task."""
 
+    never_left_out: ClassVar[tuple[str, ...]] = ()
+    """Fields whose value None says something, so that it is written."""
+
     @model_serializer(mode="wrap")
     def _given(self, given: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {name: value for name, value in given(self).items() if value is not None}
+        return {name: value for name, value in given(self).items() if value is not None or name in self.never_left_out}
 
     @property
     def who(self) -> str | None:

@@ -217,13 +217,14 @@ class Answered(OfPerson):
     """An answer to the robot's question."""
 
     kind: Literal["answered"] = "answered"
-    answer: Annotated[Truth | Action | None, Expected("an action, true, false or null")] = None
+    answer: Annotated[Truth | Action | None, Expected("an action, true, false or null")]
     """Whether the goal is theirs; the last action; null for no answer."""
     seq: Seq | None = None
     """`seq` of the view with the question; answers to earlier questions are refused."""
 
     path: ClassVar[str | None] = "/api/people/{person}/answer"
     nothing: ClassVar[str | None] = "no_answer"
+    never_left_out: ClassVar[tuple[str, ...]] = ("answer",)
 
     def recorded(self, desk: Desk) -> Self | None:
         """Check that the question is open, unless the answer is an action."""
@@ -239,7 +240,7 @@ class Answered(OfPerson):
     @property
     def instead(self) -> Self:
         """No answer."""
-        return type(self)(person=self.person)
+        return type(self)(person=self.person, answer=None)
 
     @property
     def can_be_taken_back(self) -> bool:

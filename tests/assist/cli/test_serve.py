@@ -45,6 +45,9 @@ def test_the_goals_of_people_are_inferred() -> None:
         seen = service.ask("POST", f"{view}/actions", "person-1", json={"likelihoods": known}).json()
         assert seen["steps"] == 3
         if "question" in seen:
+            for nothing in ({}, {"seq": seen["seq"]}):  # which would have declined the question
+                refused = service.ask("POST", f"{view}/answer", "person-1", json=nothing)
+                assert (refused.status_code, "answer: is missing" in refused.json()["detail"]) == (422, True)
             said = {"answer": None, "seq": seen["seq"]}
             assert "question" not in service.ask("POST", f"{view}/answer", "person-1", json=said).json()
         refused = service.ask("POST", f"{view}/answer", "person-1", json={"answer": True})
