@@ -14,7 +14,7 @@ from planner.system.errors import expected
 from planner.system.progress import adding
 from planner.system.threads import on_threads
 
-from ..people.user_code import UserCodeError, described, load
+from ..people.user_code import UserCodeError, described, load, parse
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
@@ -42,7 +42,7 @@ def named(
     name : str
         The paper's "none", "reactive" and "attention"; "attention-never" for the other reading of its Algorithm 1;
         "attention-outlook" for Algorithm 1 that considers those who see a suggestion; "whittle" for Whittle indices;
-        our "priority"; or "rollout", which improves on it by simulation.
+        our "priority"; "rollout", which improves on it by simulation; or FILE.py:NAME, a function of the user.
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
@@ -51,6 +51,8 @@ def named(
 
     Raises
     ------
+    UserCodeError
+        The file or the function does not exist, or the file cannot be run.
     ValueError
         The name is unknown, or the policy needs to enumerate a task that is too large.
     """
@@ -70,7 +72,10 @@ def named(
         return Whittle.of(policies, travel)
     if name == "rollout":
         return Rollout.of(policies, travel)
-    raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', or a function')}")
+    own = parse(name)
+    if own is not None:
+        return UserPolicy.load(*own)
+    raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', FILE.py:NAME, or a function')}")
 
 
 def by_name(

@@ -283,7 +283,7 @@ class Pool(Result):
         Parameters
         ----------
         name : str
-            One of `POLICIES`.
+            One of `POLICIES`, or FILE.py:NAME, a function of the user.
         travel : Travel, optional
             Travel between the places; by default that of the setting.
         solver : callable

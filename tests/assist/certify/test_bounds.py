@@ -124,7 +124,7 @@ def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
 @pytest.mark.parametrize(("time", "gap"), [(1.0, 1.41), (2.0, 1.35)])
 def test_the_bound_holds_where_the_way_takes_time(pool: Pool, together: TeamBound, time: float, gap: float) -> None:
     slow = replace(pool, setting=replace(pool.setting, travel_time=time))
-    found = upper_bound(slow, gap=1e-3, options=BoundOptions(20, 200))
+    found = upper_bound(slow, gap=1e-3, options=BoundOptions(price_episodes=300))
     assert found.upper < together.upper  # travel time is taken into account
     for name in ("attention", "priority"):
         certificate = found.certify(slow.policy(name), name, episodes=4000)

@@ -61,6 +61,17 @@ def test_a_policy_in_a_file_passes() -> None:
     assert (found.kind, found.faults, len(found.trials)) == ("policy", (), 2), str(found)
 
 
+def test_a_policy_in_a_file_is_taken_by_its_name_in_python(tmp_path: Path) -> None:
+    (file := tmp_path / "own.py").write_text(
+        "def first(team):\n    return team.act(team.active.argmax(axis=1), team.first_optimal())\n"
+    )
+    name, pool = f"{file}:first", assist.Pool.sample("kitting/tiny", 2, seed=0)
+    (row,) = assist.compare(pool, [name], humans=2, episodes=4, seed=0)
+    assert row.policy == name
+    with pytest.raises(UserCodeError, match=r"own.py.*'second'"):
+        assist.simulate(pool, f"{file}:second", humans=2, episodes=4, seed=0)
+
+
 def test_a_policy_for_one_robot_says_so_with_two(tmp_path: Path) -> None:
     """In one line for both situations."""
     (file := tmp_path / "own.py").write_text(
