@@ -15,7 +15,7 @@ class VisitingRobot(Protocol):
     entry : float
         Cost of coming, in cost units.
     entry_steps, longest : int
-        Mean and largest number of steps of coming.
+        Mean and largest number of steps of coming, for decisions; bounds take the smallest (`Travel.entry_steps`).
     """
 
     @property

@@ -56,12 +56,12 @@ def outlook(team: TeamState, actions: int, value: Value) -> Floats:
         policy, (x, belief) = team.policies[group], team.known_of(flat)
         chance, gain = _answers(policy, x, belief, actions)
         which, slot, follows = np.nonzero(chance.any(axis=1))
-        helped = flat[which]
-        at, who, sees = seen.onlookers(helped % people, team.active[helped // people])
+        told = flat[which]
+        at, onlooker, sees = seen.onlookers(told % people, team.active[told // people])
         effect = _effects(
-            team, helped[at] // people * people + who, gain[which[at], slot[at]], follows[at] == 1, sees, value
+            team, told[at] // people * people + onlooker, gain[which[at], slot[at]], follows[at] == 1, sees, value
         )
-        each = np.bincount(at, effect, minlength=len(helped))
+        each = np.bincount(at, effect, minlength=len(told))
         by_answer = np.zeros((len(flat), *chance.shape[2:]))
         by_answer[which, slot, follows] = each
         found[flat] = policy.pomdp.gamma * np.einsum("nraf,naf->nr", chance, by_answer)
@@ -78,29 +78,29 @@ def _answers(policy: Policy, x: Ints, belief: Floats, actions: int) -> tuple[Flo
     suggested = pomdp.suggested[x, :actions]
     chance = np.zeros((len(x), actions, applicable.shape[1], 2))
     for action in range(1, suggested.shape[1]):
-        heard, slot = np.nonzero(applicable & (suggested[:, action, None] != NOTHING))
-        p = pomdp.likelihood(x[heard], np.full(len(heard), action), slot)
-        follows = (slot == suggested[heard, action]).astype(np.int64)
-        chance[heard, action, slot, follows] = np.einsum("nht,nht->n", p, belief[heard])
+        row, slot = np.nonzero(applicable & (suggested[:, action, None] != NOTHING))
+        p = pomdp.likelihood(x[row], np.full(len(row), action), slot)
+        follows = (slot == suggested[row, action]).astype(np.int64)
+        chance[row, action, slot, follows] = np.einsum("nht,nht->n", p, belief[row])
     gain, (row, slot) = np.zeros(applicable.shape), np.nonzero(applicable & (chance.any(axis=(1, 3))))
     gain[row, slot] = gained(policy, x[row], targets[row, slot])
     return chance, gain
 
 
 def _effects(
-    team: TeamState, who: Ints, gain: Floats, followed: NDArray[np.bool_], sees: Floats, value: Value
+    team: TeamState, flat: Ints, gain: Floats, followed: NDArray[np.bool_], sees: Floats, value: Value
 ) -> Floats:
     """Return by how much the values of people change who see suggestions to neighbours, all arrays of shape (m,).
 
     People are given as indices of the flattened arrays. What is the same for a person is computed once.
     """
-    who, event, inverse = each_once(who, gain, followed, sees)
-    effect, model = np.zeros(len(who)), team.model.reshape(-1)[who]
+    flat, event, inverse = each_once(flat, gain, followed, sees)
+    effect, model = np.zeros(len(flat)), team.model.reshape(-1)[flat]
     for group in np.unique(model).tolist():
         policy, mine = team.policies[group], np.flatnonzero(model == group)
         for part in np.split(mine, range(AT_A_TIME, len(mine), AT_A_TIME)):
-            told, (x, belief) = event.of(part), team.known_of(who[part])
-            after = team.beliefs.neighbours.after(belief, policy.pomdp.grid, told)
+            seen, (x, belief) = event.of(part), team.known_of(flat[part])
+            after = team.beliefs.neighbours.after(belief, policy.pomdp.grid, seen)
             effect[part] = value(policy, x, after) - value(policy, x, belief)
     return effect[inverse]
 

@@ -44,20 +44,20 @@ def let_see(
     uniform = draw(Stream.NEIGHBOURS) if them.on_grid and len(neighbours.sees) else None
     if not shown.any():
         return
-    heard, (told, follows, there) = np.where(shown.reshape(-1), acts.heard, 0), np.zeros((3, len(after)), dtype=bool)
-    gain = np.zeros(len(after))
+    heard, gain = np.where(shown.reshape(-1), acts.heard, 0), np.zeros(len(after))
+    answered, follows, there = np.zeros((3, len(after)), dtype=bool)
     for model, flat in models:
         own, grid = acts.of(flat), model.pomdp.grid
-        told[flat], follows[flat], gain[flat] = answers(model.policy, own.x, heard[flat], own.slot, after[flat])
+        answered[flat], follows[flat], gain[flat] = answers(model.policy, own.x, heard[flat], own.slot, after[flat])
         there[flat] = own.goes_on
-    those = np.flatnonzero(told)
+    those = np.flatnonzero(answered)
     helped = Helped(*np.divmod(those, shape[1]), gain[those], follows[those])
     theta, there = them.theta.reshape(-1), there.reshape(shape)
-    who, moved = neighbours.moved(theta[:, None], helped, there)
-    theta[who] = moved[:, 0]
+    onlookers, moved = neighbours.moved(theta[:, None], helped, there)
+    theta[onlookers] = moved[:, 0]
     if uniform is not None:
-        low, up = grid.shares(theta[who], them.outcomes.reshape(-1)[who])
-        theta[who] = grid.theta[low + (uniform[who] < up)]
+        low, up = grid.shares(theta[onlookers], them.outcomes.reshape(-1)[onlookers])
+        theta[onlookers] = grid.theta[low + (uniform[onlookers] < up)]
     neighbours.believed.believe(beliefs.belief, grid, helped, there)
 
 
