@@ -2,11 +2,11 @@
 
 The folders, in an order in which each builds on earlier ones:
 
-declare   Declared data: each field has its range and one sentence; texts in each language, and refusals by key.
+declare   Declared data: each field has its range and one sentence; texts in each language; reasons of refusals.
 people    Models of people: choices, influence and trust, populations, and the belief in a person.
 person    One person's assistance problem as a POMDP, in a task of any size, and its solutions with certified bounds.
 team      Several people and robots: what a policy receives, the policies, one step of a team, and simulated episodes.
-certify   Certified upper bounds on the value of all team policies: of pools, and of arrays of problems (`coupled`).
+certify   Certified upper bounds on the value of every policy: for a pool of people, or weakly coupled MDPs (`coupled`).
 learning  Estimates of people's parameters, trust rules and goals from recorded actions.
 drawing   Pictures of tasks, plans and episodes, for any domain; `plots` has figures of results (extra `plots`).
 live      The live assistant: one team of real people, action by action, with explanations of its suggestions.

@@ -1,4 +1,4 @@
-"""Certified upper bounds on the value of all team policies: of pools, and of arrays of problems (`coupled`)."""
+"""Certified upper bounds on the value of every policy: for a pool of people, or weakly coupled MDPs (`coupled`)."""
 
 from lazy_loader import attach_stub
 

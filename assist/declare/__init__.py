@@ -1,4 +1,4 @@
-"""Declared data: each field has its range and one sentence; texts in each language, and refusals by key.
+"""Declared data: each field has its range and one sentence; texts in each language; reasons of refusals.
 
 A class is declared with `declared`. From its fields follow the check of values, errors of one sentence, plain data for
 records (`plain`), tables of TOML files with the line of a fault (`tables`) and options of the command line (`options`).

@@ -1,4 +1,7 @@
-"""Declared classes in TOML files: an error has the file, the line and the place of the fault, and what is expected."""
+"""Declared classes in TOML files: an error has the file, the line and the place of the fault, and what is expected.
+
+What a command does with such a file is in `options` (`--setting`) and `cli/options/config.py` (`serve --config`).
+"""
 
 from __future__ import annotations
 

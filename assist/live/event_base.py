@@ -218,7 +218,7 @@ class TeamEvent(Event):
         return self.reversible
 
     def take_back(self, desk: Desk) -> Any:
-        """Undo the event, the last of its kind in the person's task; return what it was."""
+        """Undo the event, the last of its kind in the person's task, through the team's `desk`; return what it was."""
         raise NotImplementedError
 
 

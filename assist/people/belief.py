@@ -1,4 +1,4 @@
-"""Belief over a person's expertise and influence.
+"""Belief over a person's hidden type, which is their goal and expertise beta, and their influence theta.
 
 Beta and theta take the values of a small `Grid`. A belief is an array of probabilities of shape (..., H, T), with an
 axis of types (`hidden_type`), which never change, and one of theta. Theta moves by a known map. Its

@@ -1,4 +1,7 @@
-"""What follows from a person's goal being one of several, for compiled code: see `hidden_type`."""
+"""Compiled functions for several possible goals: a goal that was reached is excluded, and what a mistake is.
+
+`hidden_type` has the definitions.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The compiled search for bounds on one person's problem.
+"""Heuristic search value iteration (HSVI), compiled: the search for bounds on one person's problem.
 
 The upper bound of a state follows from beliefs with known bounds (`belief_hulls`), the lower one from returns of plans
 (`vector_lists`). `trials` improves both along sampled paths, and `renew` repeats old backups. `solver` calls them in
-turn and returns the result.
+turn and returns the result; it says what is proven.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """A folder of results: records of instances, their tables and plans, and what these depend on.
 
-Scripts depend on the fields of the records, which `docs/commands.md` lists.
+It is a `ResumableFolder` (`system.files`), as a study's is. Scripts depend on the fields of the records, which
+`docs/commands.md` lists.
 
 The file `fingerprints` contains a line of JSON for each record in `results.jsonl`. It holds the `fingerprint` of what
 the result depends on (the contents of both files, the relevant options, the programs), the `place` of the table and the

@@ -1,1 +1,1 @@
-"""The exact cost-to-go: tables of all states, single states on demand, and their verification."""
+"""The exact cost-to-go: tables of all states or orbits, single states on demand, and their verification."""

@@ -1,9 +1,10 @@
-"""A durative action as one step of a person who does one action after the other.
+"""Durative actions compiled away: each becomes one step of a person who does one action after the other.
 
 Start effects turn the state s into s1 (deletions first, then additions); conditions `over all` and `at end` are those
 of s1; end effects are made on s1. All of them are rewritten as conditions and effects in s (regression): a fact p holds
-in s1 if the start adds it, or if it holds in s and the start does not delete it; the variables of p and of the effect
-may be one object, which equalities say. A number read in s1 is the one after the start's change of it.
+in s1 if the start adds it, or if it holds in s and the start does not delete it; variables of p and of the effect may
+stand for the same object, which the new condition tests by equalities. A number read in s1 is the one after the start's
+change of it.
 
 In `(when (at start c) (at end e))`, c is read in s.
 """

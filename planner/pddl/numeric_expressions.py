@@ -1,6 +1,7 @@
 """Numbers of PDDL, exactly: reading a number, and the value of an expression.
 
 0.1 is a tenth. Numbers are integers where they can be, and fractions elsewhere, which Python compares and hashes alike.
+Numeric fluents of a file are declared in `declarations` and read in `reader` (first values) and `formulas`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compiled computation of the canonical state of each orbit under the symmetries of a task.
+"""Compiled computation of the canonical state of each orbit under the symmetries of a task, for `costtogo.orbit_table`.
 
 The canonical state is computed along the stabiliser chain, as in minimal images (Linton 2004; Jefferson et al. 2019).
 Each level applies all of its symmetries to the current images. It keeps the images with the smallest key. The key is a

@@ -1,4 +1,4 @@
-"""Reports of studies: statistics, wording, tables and figures."""
+"""Reports of studies: what is compared, wording, tables and figures. The tests and intervals are in `studies`."""
 
 from lazy_loader import attach_stub
 
