@@ -8,6 +8,7 @@ import json
 import math
 import re
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 from itertools import combinations, permutations
 from pathlib import Path
@@ -48,6 +49,15 @@ from planner.system.errors import InputFileError
 
 CONFIRMED = PLAN.replace("seed = 3", 'seed = 3\nconfirmatory = ["actions", "trust"]')
 WITHIN = CONFIRMED.replace("seed = 3", 'seed = 3\ndesign = "within"')
+ALIKE = "seed = 3\npopulation = { beta = [0.3, 1], theta = [0.7, 1] }"
+"""People who are so much alike that few of them tell the difference of two conditions."""
+
+
+@pytest.fixture
+def few_people(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a forecast simulate one round of few people."""
+    monkeypatch.setattr("assist.studies.userstudy.forecast.PEOPLE", 40)
+    monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
 
 
 def rows_of(outcomes: list[tuple[str, str, int, float | None, int]], **more: Any) -> Tables:
@@ -623,10 +633,10 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
     assert "the study has begun" in invoke("study-prepare", file, "--data", data).stderr
 
 
+@pytest.mark.usefixtures("few_people")
 def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("assist.studies.userstudy.forecast.PEOPLE", 40)
-    monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
-    file = written(tmp_path / "study.toml", CONFIRMED.replace("seed = 3", "seed = 3\nparticipants = 13"))
+    text = CONFIRMED.replace("seed = 3", f"{ALIKE}\nparticipants = 13")
+    file = written(tmp_path / "study.toml", text)
     said = invoke("study-prepare", file, "--check")
     printed = json.loads(said.stdout)
     (shown,) = printed.pop("sensitivity")
@@ -637,7 +647,7 @@ def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: p
     assert second.startswith("attention minus none: with 6 in each, four of five studies show ")
     assert last == f"{file} can be carried out; nothing is registered yet"
     assert [one.name for one in tmp_path.iterdir()] == ["study.toml"]
-    dear = written(file, CONFIRMED.replace("c_suggest = 0.02", "c_suggest = 50.0"))
+    dear = written(file, text.replace("c_suggest = 0.02", "c_suggest = 50.0"))
     said = invoke("study-prepare", dear, "--data", tmp_path / "data")
     assert "attention suggests something to 0 % of simulated people: hardly any suggestion is worth" in said.stderr
     assert (tmp_path / "data" / REGISTERED).exists()
@@ -685,11 +695,10 @@ class fickle:
     ("policy", "said"),
     [("none", "own.py: has no function 'none'"), ("fails", "own.py:6: AttributeError"), ("remembers", "choose")],
 )
+@pytest.mark.usefixtures("few_people")
 def test_a_fault_of_an_own_policy_is_said_in_one_line_before_anything_is_registered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: str, said: str
+    tmp_path: Path, policy: str, said: str
 ) -> None:
-    monkeypatch.setattr("assist.studies.userstudy.forecast.PEOPLE", 40)
-    monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
     (tmp_path / "own.py").write_text(OWN_CODE)
     text = CONFIRMED.replace('policy = "attention"', f'policy = "own.py:{policy}"')
     file = written(tmp_path / "study.toml", text)
@@ -702,11 +711,10 @@ def test_a_fault_of_an_own_policy_is_said_in_one_line_before_anything_is_registe
 
 
 @pytest.mark.cases
+@pytest.mark.usefixtures("few_people")
 def test_a_fault_of_an_own_trust_rule_is_not_said_of_the_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("assist.studies.userstudy.forecast.PEOPLE", 40)
-    monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
     (tmp_path / "own.py").write_text(OWN_CODE)
     monkeypatch.chdir(tmp_path)
     file = written(tmp_path / "study.toml", CONFIRMED.replace("[setting]", '[setting]\ntrust = "own.py:fickle"'))
@@ -717,19 +725,18 @@ def test_a_fault_of_an_own_trust_rule_is_not_said_of_the_policy(
 
 
 @pytest.mark.cases
+@pytest.mark.usefixtures("few_people")
 def test_participants_who_show_a_difference_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
-    made, forecast = dict[str, Forecast](), Forecast.of
+    made, forecast = list[Forecast](), Forecast.of
 
     def once(study: Any, tasks: Any) -> Forecast:
-        """Return the forecast of a design, which takes long and is the same for all differences."""
-        if study.design not in made:
-            made[study.design] = forecast(study, tasks)
-        return made[study.design]
+        """Return the forecast, whose people are the same whatever the design and the difference."""
+        made[:] = made or [forecast(study, tasks)]
+        return replace(made[0], study=study)
 
     monkeypatch.setattr(Forecast, "of", once)
     for text in (CONFIRMED, WITHIN):
-        file = written(tmp_path / "study.toml", text.replace("seed = 3", "seed = 3\nparticipants = 24"))
+        file = written(tmp_path / "study.toml", text.replace("seed = 3", f"{ALIKE}\nparticipants = 24"))
         (shown,) = json.loads(invoke("study-prepare", file, "--check").stdout)["sensitivity"]
 
         def counted(difference: float, file: Path = file) -> int:

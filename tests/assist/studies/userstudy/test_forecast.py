@@ -18,17 +18,25 @@ from assist.studies.userstudy.plan_file import read
 from planner import Table
 
 
-def forecast(folder: Path, tiny: Table, more: str = "participants = 24", like: Forecast | None = None) -> Forecast:
+def forecast(
+    folder: Path, tiny: Table, more: str = "participants = 24", like: Forecast | None = None, text: str = PLAN
+) -> Forecast:
     """Return the forecast of a study; one `like` it has the same people, tasks and conditions."""
-    study = read(written(folder / "study.toml", PLAN.replace("seed = 3", f"seed = 3\n{more}")))
+    study = read(written(folder / "study.toml", text.replace("seed = 3", f"seed = 3\n{more}")))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(forecasts, "EFFORT", 0)  # one round, whose people are enough here
         return Forecast.of(study, {"tiny": tiny}) if like is None else replace(like, study=study)
 
 
+ALIKE = PLAN.replace("seed = 3", "seed = 3\npopulation = { beta = [0.3, 1], theta = [0.7, 1] }")
+"""A study of people who are so much alike that few of them tell the difference of two conditions."""
+
+
 @pytest.fixture(scope="module")
 def found(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Forecast:
-    return forecast(tmp_path_factory.mktemp("study"), tiny)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(forecasts, "PEOPLE", 40)
+        return forecast(tmp_path_factory.mktemp("study"), tiny, text=ALIKE)
 
 
 def test_a_study_says_before_it_begins_which_difference_it_can_show(
@@ -112,10 +120,10 @@ def test_intervals_of_a_forecast_hold_where_numbers_of_actions_are_skewed(paired
 def test_rounds_end_when_the_effort_is_spent_and_each_has_people_of_its_own(
     tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    study = read(written(tmp_path / "study.toml"))
+    study = read(written(tmp_path / "study.toml", ALIKE))
     monkeypatch.setattr(forecasts, "PEOPLE", 20)
     ended = []
-    for effort in (0, 2000):
+    for effort in (0, 2500):
         monkeypatch.setattr(forecasts, "EFFORT", effort)
         ended.append(Forecast.of(study, {"tiny": tiny}))
     few, more = (one.actions["none"] for one in ended)
@@ -129,7 +137,7 @@ def test_fewer_episodes_say_whether_a_policy_hardly_assists(found: Forecast, tin
     """The policy `none` weighs no costs, so that it is not simulated then."""
     assert [*found.seldom_assisted()] == []
     for cost, said in (("0.02", []), ("50.0", ["attention suggests something to 0 % of simulated people"])):
-        study = read(written(tmp_path / "study.toml", PLAN.replace("c_suggest = 0.02", f"c_suggest = {cost}")))
+        study = read(written(tmp_path / "study.toml", ALIKE.replace("c_suggest = 0.02", f"c_suggest = {cost}")))
         brief = Forecast.of(study, {"tiny": tiny}, briefly=True)
         assert [one.partition(":")[0] for one in brief.seldom_assisted()] == said
         assert ({*brief.assisted}, brief.actions) == ({"attention"}, {})
