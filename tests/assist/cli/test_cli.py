@@ -22,6 +22,7 @@ from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
 from planner.grounding.fast_downward import ASTAR
 from planner.pddl.validation import validate
+from planner.system.threads import NO_MORE_THREADS
 
 FIELDS = [
     "instance", "domain", "status", "cost", "plan", "plan_by", "states", "transitions", "dead_ends", "max_cost_to_go",
@@ -50,33 +51,23 @@ def test_solve_the_papers_instance() -> None:
     assert record["versions"]["fast_downward"].startswith("26.")
 
 
-def test_unsolvable_dead_ends_and_costs_are_recorded_and_the_printed_table_names_every_instance(tmp_path: Path) -> None:
-    names = [KITTING / "unsolvable.pddl", f"{KITTING}/s[e]aled.pddl", KITTING / "costs" / "ways.pddl"]
-    result = invoke("solve", *names, "--out", tmp_path / "out", "--verify", 1)
-    assert result.exit_code == 0
+def test_every_instance_is_recorded_and_printed_and_a_bad_one_does_not_disturb_the_rest(tmp_path: Path) -> None:
+    """Unsolvable tasks, dead ends, costs, and a file with a fault, in two processes."""
+    bad = write_instance(tmp_path / "bad", "(define (domain kitting)", "(define (problem p) (:domain kitting))")
+    names = [KITTING / "unsolvable.pddl", f"{KITTING}/s[e]aled.pddl", KITTING / "costs" / "ways.pddl", bad.problem]
+    result = invoke("solve", *names, "--out", tmp_path / "out", "--verify", 1, "--jobs", 2)
+    assert result.exit_code == 1
     records = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
     found = {Path(record["instance"]).stem: record for record in records}
-    assert all(f"{name}.pddl " in result.stdout for name in ("unsolvable", "sealed", "ways"))
+    assert all(f"{name}.pddl " in result.stdout for name in ("unsolvable", "sealed", "ways", "problem"))
     assert [found["unsolvable"][key] for key in ("status", "cost", "plan")] == ["unsolvable", None, None]
     assert [found["sealed"][key] for key in ("status", "cost", "dead_ends")] == ["solved", 10, 620]
     assert [found["ways"][key] for key in ("cost", "verified")] == [18, 1]
-
-
-def test_one_bad_instance_does_not_disturb_the_rest(tmp_path: Path) -> None:
-    good = write_instance(tmp_path / "good", (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text())
-    bad = write_instance(tmp_path / "bad", "(define (domain kitting)", "(define (problem p) (:domain kitting))")
-    result = invoke("solve", tmp_path, "--json", "--jobs", 2)
-    assert result.exit_code == 1
-    first, second = json.loads(result.stdout)
-    assert (first["instance"], first["status"]) == (str(bad.problem), "invalid")
-    assert list(first) == FIELDS
-    assert first["error"] == {
-        "file": str(bad.domain),
-        "line": 1,
-        "message": "')' is missing between here and the end of the file",
-    }
-    assert (second["instance"], second["status"]) == (str(good.problem), "solved")
-    assert result.stderr.splitlines() == [f"{bad.domain}:1: {first['error']['message']}"]
+    assert (found["problem"]["instance"], found["problem"]["status"]) == (str(bad.problem), "invalid")
+    assert [list(record) for record in records] == [FIELDS] * 4
+    said = "')' is missing between here and the end of the file"
+    assert found["problem"]["error"] == {"file": str(bad.domain), "line": 1, "message": said}
+    assert result.stderr.splitlines() == [f"{bad.domain}:1: {said}"]
 
 
 def test_tables_and_plans_are_saved(tmp_path: Path, tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,7 +137,9 @@ def test_a_memory_limit_holds() -> None:
 
 @pytest.mark.parametrize(
     "error",
-    [MemoryError(), OSError(errno.ENOMEM, "Cannot allocate memory", "/bin/sh"), RuntimeError("can't start new thread")],
+    thinned(
+        [OSError(errno.ENOMEM, "Cannot allocate memory", "/bin/sh"), MemoryError(), RuntimeError(NO_MORE_THREADS)], 3
+    ),
 )
 def test_whoever_finds_no_memory_it_is_said_of_the_instance(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
     def full(*_: object, **__: object) -> None:
@@ -236,16 +229,14 @@ def test_simulate_gives_identical_bytes_for_a_seed(tmp_path: Path) -> None:
 
 
 def test_simulate_prints_a_table_and_draws_a_picture(tmp_path: Path) -> None:
-    for name, start in (("one.png", b"\x89PNG"), ("two.svg", b"<?xml")):
-        result = invoke(*TEAM, *THREE, "--figure", tmp_path / name)
-        assert result.exit_code == 0, result.stderr
-        assert result.stderr == ""
-        lines = result.stdout.splitlines()
-        assert lines[0].split()[:1] == ["policy"]
-        assert [line.split()[0] for line in lines[1:4]] == ["none", "reactive", "attention"]
-        assert all("±" in line for line in lines[1:4])
-        assert (tmp_path / name).read_bytes().startswith(start)
-        assert (tmp_path / name).stat().st_size > 10_000
+    result = invoke(*TEAM, *THREE, "--figure", tmp_path / "one.svg")
+    assert (result.exit_code, result.stderr) == (0, "")
+    lines = result.stdout.splitlines()
+    assert lines[0].split()[:1] == ["policy"]
+    assert [line.split()[0] for line in lines[1:4]] == ["none", "reactive", "attention"]
+    assert all("±" in line for line in lines[1:4])
+    assert (tmp_path / "one.svg").read_bytes().startswith(b"<?xml")
+    assert (tmp_path / "one.svg").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,9 @@ def own(tmp_path: Path) -> Path:
 
 def test_a_policy_of_ones_own_is_simulated_and_bounded_beside_others(own: Path, tmp_path: Path) -> None:
     options = (TINY, "--humans", 2, "--json", "--policy", f"{own}:in_turn", "--policy", f"{own}:silent")
-    result = invoke("simulate", *options, "--policy", "none", "--episodes", 40, "--out", tmp_path / "out.jsonl")
+    result = invoke(
+        "simulate", *options, "--policy", "none", "--pool", 2, "--episodes", 40, "--out", tmp_path / "out.jsonl"
+    )
     assert result.exit_code == 0, result.output
     first, silent, none = json.loads(result.stdout)["policies"]
     assert (first["policy"], silent["policy"]) == ("in_turn", "silent")
@@ -244,7 +246,7 @@ def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_pat
     setting, results = simulated("--population", file)
     assert (setting["eta"], setting["utility_scale"]) == (0.9, 2.0)
     assert results == simulated("--population", without, "--set", "eta=0.9", "--set", "utility_scale=2.0")[1]
-    for options in (("--set", "eta=0.2"), ("--set", "utility_scale=1"), ("--trust", "constant")):
+    for options in (("--set", "eta=0.2"), ("--trust", "constant")):
         setting, results = simulated("--population", file, *options)
         assert (setting["eta"], setting["utility_scale"]) == (0.2, 1.0)
         assert results == simulated("--population", without, *options)[1]

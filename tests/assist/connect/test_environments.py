@@ -63,11 +63,12 @@ DIFFERENT = replace(
 @pytest.mark.parametrize(
     ("policy", "setting", "world"),
     [
-        ("attention", RULE, "people"), ("attention", RULE, "model"), ("priority", FAR, "people"),
-        ("priority", FAR, "model"), ("priority", TWO, "people"), ("priority", replace(TWO, travel_time=2.0), "people"),
-        ("priority", DIFFERENT, "people"), ("attention", DIFFERENT, "people"),
+        ("attention", RULE, "people"),
+        ("priority", FAR, "model"),
+        ("priority", replace(TWO, travel_time=2.0), "people"),
+        ("priority", DIFFERENT, "people"),
     ],
-)  # fmt: skip
+)
 def test_an_episode_is_the_simulators_whatever_the_setting(
     tiny_choices: Choices, policy: str, setting: Setting, world: str
 ) -> None:
@@ -285,7 +286,7 @@ def test_robots_that_differ_and_act_at_random_never_attend_to_the_same_person(ti
     pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(robots=robots, max_steps=30))
     env = parallel_env(pool, 3)
     rng, made_room = np.random.default_rng(0), False
-    for episode in range(20):
+    for episode in range(5):
         _, info = env.reset(seed=episode)
         while env.agents:
             before = env.team.location[0].copy()
@@ -305,7 +306,7 @@ def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None
     seen, info = many.reset(seed=1)
     many.action_space.seed(1)
     collided = False
-    for _ in range(60):
+    for _ in range(30):
         assert seen in many.observation_space
         assert ((seen["location"][:, 0] != seen["location"][:, 1]) | (seen["location"] == 0).all(axis=1)).all()
         assert (info["action_mask"][~seen["ready"].astype(bool)][:, 1:] == 0).all()

@@ -121,7 +121,8 @@ TEXTS = {key.removeprefix("refusals."): text for key, text in catalogue().texts.
 def raised() -> Iterator[tuple[str, str, set[str]]]:
     """Yield the place, key and values of each refusal with a constant key in the source."""
     for file in ASSIST.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        source = file.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(source)) if any(f"{kind}(" in source for kind in KINDS) else ():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in KINDS:
                 key = node.args[0]
                 if isinstance(key, ast.Constant):

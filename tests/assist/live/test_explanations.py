@@ -329,7 +329,7 @@ def test_advice_explains_itself_when_asked_later() -> None:
     assert [late.recommend().explanation] == first
     mates = [SimulatedPerson(early.population, seed=7) for _ in range(2)]
     given, told = [], []
-    for _ in range(25):
+    for _ in range(12):
         for assistant, mate in zip((early, late), mates, strict=True):
             for name in ("ann", "ben"):
                 advice = assistant.recommend()
@@ -458,10 +458,10 @@ def test_asking_about_another_action() -> None:
 
 
 def test_policies_that_do_not_weigh_costs() -> None:
-    nothing = team(policy="none").recommend().explanation.nothing
+    nothing = team("kitting/tiny", policy="none").recommend().explanation.nothing
     assert nothing is not None
     assert nothing.reason == "never"
-    assistant = team(policy="reactive")
+    assistant = team("kitting/tiny", policy="reactive")
     found = assistant.recommend().explanation
     assert found.text() == "I step in after a mistake, and nobody's last step was one."
     assistant.observe("ann", "(fetch box-a)")
@@ -502,10 +502,8 @@ def test_a_robot_on_its_way_says_so() -> None:
 
 
 def test_large_tasks_are_explained_too() -> None:
-    known = table("kitting/ladder-2x3")
-    assistant = Assistant(
-        OnDemand(known.task), ["ann"], setting=Setting(c_suggest=0.02, c_move=0.01), policy="priority"
-    )
+    setting = Setting(c_suggest=0.02, c_move=0.01)
+    assistant = Assistant(OnDemand(kit("tiny").task), ["ann"], setting=setting, policy="priority")
     found = assistant.recommend().explanation
     assert found.nothing is not None or found.step is not None
     assert found.text()
@@ -546,7 +544,7 @@ def test_a_trace_explains_suggestions_as_a_live_team_does(options: dict[str, Any
 
 def test_advice_stays_what_it_was() -> None:
     """An explanation is no field: records, copies and comparisons of advice are without it."""
-    advice = team().recommend()
+    advice = team("kitting/tiny").recommend()
     assert advice.explanation
     assert set(asdict(advice)) == {"person", "suggestion", "reason", "arrived", "question"}
     assert pickle.loads(pickle.dumps(advice)) == advice

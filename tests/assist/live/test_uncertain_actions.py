@@ -98,13 +98,14 @@ def test_an_action_without_all_arguments_is_answered_with_those_that_begin_so() 
     said = (
         "(fetch): with an observation model, and in likelihoods, actions have all arguments; expected (fetch box-a), "
     )
+    noisy = desk()
     with pytest.raises(Refusal, match=re.escape(said)):
-        desk().observe("ann", "(fetch)")
+        noisy.observe("ann", "(fetch)")
     with pytest.raises(Refusal, match=re.escape(said)):
         desk(SURE).observe("ann", likelihoods={"(fetch)": 1.0})
     for misspelt in ("(fetch box-aa)", "fetsh(box-a)"):
         with pytest.raises(Refusal, match=r"did you mean \(fetch box-a\)\?"):
-            desk().observe("ann", misspelt)
+            noisy.observe("ann", misspelt)
 
 
 def test_the_log_marks_what_was_seen_with_doubt_and_a_reader_of_it_is_told() -> None:
