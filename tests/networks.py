@@ -12,7 +12,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
+import httpx2 as httpx
 from starlette.types import ASGIApp
 from userstudies import written
 
@@ -107,15 +109,22 @@ def running(app: ASGIApp, listening: socket.socket) -> Iterator[None]:
 
 @contextmanager
 def conducted(table: Table, folder: Path, plan: str) -> Iterator[StudyService]:
-    """Serve a user study in a thread."""
+    """Serve a user study in a thread; all its tasks have the same table."""
     listening = listen("127.0.0.1", 0)
     base = f"http://127.0.0.1:{listening.getsockname()[1]}"
-    session = StudySession(
-        read(written(folder / "study.toml", plan)), {"tiny": table, "practice": table}, folder / "data"
-    )
+    study = read(written(folder / "study.toml", plan))
+    session = StudySession(study, {name: table for name, _ in study.tasks} | {"practice": table}, folder / "data")
     service = StudyService(session, AccessTokens.kept(folder / "data" / "secret", base), ping=0.3)
     with running(make_app(service, more=[router]), listening):
         yield service
+
+
+def ask(service: StudyService, method: str, path: str, **more: Any) -> httpx.Response:
+    """Ask a service that is running, as its operator."""
+    headers = {"Authorization": f"Bearer {service.access.operator}"}
+    answer = httpx.request(method, service.access.base + path, headers=headers, timeout=60, **more)
+    assert answer.is_success, answer.text
+    return answer
 
 
 class Wire:

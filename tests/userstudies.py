@@ -59,6 +59,9 @@ name = "attention"
 policy = "attention"
 """
 
+WITHOUT_PRACTICE = PLAN.replace(f'practice = "{KITTING}/tiny.pddl"\n', "")
+ALONE = WITHOUT_PRACTICE.replace("simulated = 2", "simulated = 0")
+
 SCORES: dict[str, dict[str, Any]] = {
     "nasa-tlx": {
         "mental": 50, "physical": 10, "temporal": 20, "performance": 30, "effort": 40, "frustration": 0,

@@ -14,7 +14,7 @@ from urllib.parse import quote, urlencode
 import httpx2 as httpx
 import pytest
 from conftest import KITTING
-from serving import served
+from networks import ask, conducted
 from test_cases_networks import has_done, line
 from test_userstudy_pages import PATIENCE
 from userstudies import PLAN, SCORES, Part, written
@@ -117,17 +117,18 @@ def kits(folder: Path) -> Path:
 def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any, tmp_path: Path) -> None:
     """Every page obeys a policy without inline scripts. What the policy had to stop is only what researchers wrote."""
     task = kits(tmp_path / "kits")
-    file = written(tmp_path / "study.toml", ATTACKED.replace(str(KITTING / "tiny.pddl"), str(task)))
-    with served("--study", file, "--data", tmp_path / "data", instance=None) as study:
+    table, plan = cost_to_go(load(task)), ATTACKED.replace(str(KITTING / "tiny.pddl"), str(task))
+    assert isinstance(table, Table)
+    with conducted(table, tmp_path, plan) as service:
+        base, link = service.access.base, service.join_url()
         context = chromium.new_context()
         context.add_init_script(WATCH)
         page = context.new_page()
         page.set_default_timeout(PATIENCE)
-        link = study.links["everybody"]
         marked = f"{link.replace('#', '?' + urlencode({'participant': IMAGE, 'withdraw': IMAGE, 'x': RUNS}) + '#')}"
-        named = [f"{study.url}/{kind}/{quote(IMAGE, safe='')}#{quote(IMAGE)}" for kind in ("part", "join")]
-        own = [study.url + path for path in ("/", "/study/nowhere", "/docs")]
-        for address in (*own, marked, *named, f"{study.url}/study/operator?{urlencode({'x': IMAGE})}#{quote(IMAGE)}"):
+        named = [f"{base}/{kind}/{quote(IMAGE, safe='')}#{quote(IMAGE)}" for kind in ("part", "join")]
+        own = [base + path for path in ("/", "/study/nowhere", "/docs")]
+        for address in (*own, marked, *named, f"{base}/study/operator?{urlencode({'x': IMAGE})}#{quote(IMAGE)}"):
             page.goto(address)
             page.wait_for_selector("h1", state="attached")
             page.wait_for_load_state("networkidle")
@@ -140,36 +141,32 @@ def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any
         assert page.evaluate("window.ran ?? null") is None
         person = page.url.partition("/part/")[2].partition("#")[0]
         for stage in ("consent", "instructions"):
-            assert study.ask("POST", f"/api/study/participants/{person}/onward", json={"stage": stage}).is_success
+            ask(service, "POST", f"/api/study/participants/{person}/onward", json={"stage": stage})
         page.wait_for_selector(f"#actions button:has-text('{IMAGE} Fetch box-a')")  # the page goes there by itself
         page.wait_for_selector("#drawing svg")
         page.click("#actions button")
         page.wait_for_function("() => document.getElementById('steps').textContent === '1'")
         assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
-        study.ask("POST", f"/api/people/{person}/actions", json={"action": "(return box-a)"})
-        view = study.ask("GET", f"/api/people/{person}").json()
+        ask(service, "POST", f"/api/people/{person}/actions", json={"action": "(return box-a)"})
+        view = ask(service, "GET", f"/api/people/{person}").json()
         kinds = set[str]()
-        plan = cost_to_go(load(task)).optimal_plan() or []
         while view["study"]["kind"] != "thanks":  # the pages of all later stages
             at, what = view["study"], view["study"]["what"]
             kinds.add(at["kind"])
             if at["kind"] in ("practice", "task"):
                 page.wait_for_selector("#drawing svg")
-                for action in plan:
-                    answer = study.ask("POST", f"/api/people/{person}/actions", json={"action": action})
-                    assert answer.status_code == 200, answer.text
+                for action in table.optimal_plan() or []:
+                    ask(service, "POST", f"/api/people/{person}/actions", json={"action": action})
             else:
                 page.wait_for_selector("#form button")
             assert page.evaluate("window.ran ?? null") is None, at
             body = {"stage": at["stage"], "answers": SCORES.get(what, {}) if at["kind"] == "questionnaire" else None}
-            answer = study.ask("POST", f"/api/study/participants/{person}/onward", json=body)
-            assert answer.status_code == 200, answer.text
-            view = answer.json()
+            view = ask(service, "POST", f"/api/study/participants/{person}/onward", json=body).json()
         page.wait_for_selector("#stage-title:has-text('Thank you')")
         assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
         assert kinds >= {"practice", "task", "questionnaire"}
-        study.ask("POST", f"/api/study/participants/{person}/exclude", json={"reason": RUNS})
-        page.goto(study.operator)
+        ask(service, "POST", f"/api/study/participants/{person}/exclude", json={"reason": RUNS})
+        page.goto(service.operator_url())
         page.wait_for_selector(f"#people td:has-text('{IMAGE}')")
         assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
         page.goto(link.replace("/study#", "/study?withdraw#"))
@@ -177,7 +174,7 @@ def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any
         page.click("#withdraw button")
         page.wait_for_selector("#text:has-text('no such code')")
         assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
-        packed = zipfile.ZipFile(io.BytesIO(study.ask("GET", "/api/study/export").content))
+        packed = zipfile.ZipFile(io.BytesIO(ask(service, "GET", "/api/study/export").content))
         assert not any("/" in name or name.startswith(".") for name in packed.namelist())
 
 

@@ -16,7 +16,7 @@ from test_cases_networks import Line, has_done, says
 from test_cases_withdrawal import answers
 from test_event_store import content
 from test_userstudy_pages import PATIENCE
-from userstudies import PLAN, Part, written
+from userstudies import ALONE, PLAN, Part, written
 
 from assist.live import Acted, Joined, Session
 from assist.live.store import JournalError, stored
@@ -63,7 +63,7 @@ def test_events_of_a_team_are_refused_while_the_disk_is_full_and_none_is_lost(ti
 def test_who_withdraws_or_is_erased_on_a_full_disk_is_removed_when_there_is_room(
     tiny: Table, disk: Path, tmp_path: Path, how: str
 ) -> None:
-    study = read(written(tmp_path / "study.toml"))
+    study = read(written(tmp_path / "study.toml", ALONE))
     session = StudySession(study, {"tiny": tiny, "practice": tiny}, disk / "data")
     eve, ann = (Part(session, name) for name in ("eve", "ann"))
     for part in (eve, ann):
@@ -127,32 +127,33 @@ def test_a_second_service_on_one_folder_is_refused_in_one_line_and_disturbs_nobo
         assert first.people == ("ann",)
 
 
+@pytest.fixture
+def completed(tiny: Table, tmp_path: Path) -> Path:
+    """The folder of a study in which one participant has come to the end."""
+    study = read(written(tmp_path / "study.toml", ALONE))
+    with closing(StudySession(study, {"tiny": tiny}, tmp_path / "data")) as session:
+        ann = Part(session, "ann")
+        ann.come()
+        answers(ann)
+    return tmp_path / "data"
+
+
 @pytest.mark.usefixtures("no_figures")
-def test_a_study_whose_folder_cannot_be_written_any_more_can_be_reported(tiny: Table, tmp_path: Path) -> None:
-    session = StudySession(read(written(tmp_path / "study.toml")), {"tiny": tiny, "practice": tiny}, tmp_path / "data")
-    ann = Part(session, "ann")
-    ann.come()
-    answers(ann)
-    session.close()
-    with sealed(tmp_path / "data"):
-        refused = invoke("study-report", tmp_path / "data")
+def test_a_study_whose_folder_cannot_be_written_any_more_can_be_reported(completed: Path, tmp_path: Path) -> None:
+    with sealed(completed):
+        refused = invoke("study-report", completed)
         assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)
         assert "Read-only file system" in refused.stderr
-        made = invoke("study-report", tmp_path / "data", "--out", tmp_path / "out")
+        made = invoke("study-report", completed, "--out", tmp_path / "out")
         assert made.exit_code == 0, made.output
-        assert len(stored(tmp_path / "data" / JOURNAL)[1]) > 5
+        assert len(stored(completed / JOURNAL)[1]) > 5
 
 
 @pytest.mark.usefixtures("no_figures")
 def test_a_report_for_which_there_is_no_room_is_said_in_one_line_and_leaves_nothing(
-    tiny: Table, disk: Path, tmp_path: Path
+    disk: Path, completed: Path
 ) -> None:
-    session = StudySession(read(written(tmp_path / "study.toml")), {"tiny": tiny, "practice": tiny}, tmp_path / "data")
-    ann = Part(session, "ann")
-    ann.come()
-    answers(ann)
-    session.close()
-    words = ["study-report", tmp_path / "data", "--out", disk / "report"]
+    words = ["study-report", completed, "--out", disk / "report"]
     with full(disk):
         refused = invoke(*words)
         assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1), refused.output

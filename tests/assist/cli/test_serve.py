@@ -1,20 +1,12 @@
-"""The command `serve`, as a user starts it: links, actions, shutdown and resuming."""
+"""The command `serve` with probable goals, as a user starts it."""
 
 from __future__ import annotations
 
-import json
-import signal
 import time
-import urllib.request
-from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 from conftest import ROOT, invoke
 from serving import served
-
-from assist import fit, read_log
-from planner import Table
 
 KITS = ROOT / "docs" / "examples" / "kits"
 
@@ -54,47 +46,3 @@ def test_the_goals_of_people_are_inferred() -> None:
         assert (refused.status_code, refused.json()["detail"]) == (409, "person-1 has no open question")
     result = invoke("serve", KITS / "travel.pddl", KITS / "mend.pddl", "--goals", KITS, "--humans", 1)
     assert (result.exit_code, "expected one INSTANCE, which has the first goal" in result.stderr) == (2, True)
-
-
-def test_people_act_the_service_ends_and_goes_on_where_it_was(tmp_path: Path, tiny: Table) -> None:
-    options = ("--humans", 2, "--data", tmp_path, "--c-suggest", 0.1)
-    with served(*options) as service, ExitStack() as held:
-        assert list(service.links) == ["person-1", "person-2"]
-        seen = service.ask("GET", "/api/people/person-1", "person-1").json()
-        assert seen["applicable"] == ["(fetch box-a)", "(fetch box-b)"]
-        assert (seen["cost_to_go"], seen["steps"], seen["finished"]) == (6.0, 0, False)
-        first = service.ask(
-            "POST", "/api/people/person-1/actions", "person-1", json={"action": "(fetch box-a)", "id": "1"}
-        )
-        assert (first.status_code, first.json()["steps"], first.json()["cost_to_go"]) == (200, 1, 5.0)
-        team = service.ask("GET", "/api/team").json()
-        links = service.links, service.operator
-        streams = []
-        for path in ("/api/people/person-1/events", "/api/team/events", "/api/team/changes"):
-            request = urllib.request.Request(service.url + path, headers={"Authorization": f"Bearer {service.token()}"})
-            streams.append(held.enter_context(urllib.request.urlopen(request, timeout=60)))
-            assert streams[-1].readline() == b"event: ping\n"
-        code, said = service.end(signal.SIGTERM)
-        assert code == 0
-        began = [line.split(" in ")[0].split(";")[0] for line in said.splitlines()]
-        assert began == ["preparing the session", "the session is saved"]  # and no task that was cancelled
-        for stream in streams:
-            assert stream.read().endswith(b"\n\n")  # complete events, and then an orderly end
-        tokens = [link.partition("#")[2] for link in (*service.links.values(), service.operator)]
-        assert not any(token in said for token in tokens)
-    with served(*options) as service:
-        assert [link.rpartition("/")[2] for link in (*service.links.values(), service.operator)] == [
-            link.rpartition("/")[2] for link in (*links[0].values(), links[1])
-        ]
-        again = service.ask(
-            "POST", "/api/people/person-1/actions", "person-1", json={"action": "(fetch box-a)", "id": "1"}
-        )
-        assert again.json() == first.json()
-        after = service.ask("GET", "/api/team").json()
-        assert [person["belief"] for person in after["people"]] == [person["belief"] for person in team["people"]]
-        assert after["people"][0]["steps"] == 1
-        log = service.ask("GET", "/api/log").text
-        assert service.end(signal.SIGINT)[0] == 0  # Ctrl-C
-    (tmp_path / "log.jsonl").write_text(log)
-    assert [json.loads(line)["action"] for line in log.splitlines()] == ["(fetch box-a)"]
-    assert fit(tiny, read_log(str(tmp_path / "log.jsonl")))["person-1"].actions == 1

@@ -8,6 +8,8 @@ import shutil
 import signal
 import subprocess
 import time
+import urllib.request
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -19,6 +21,7 @@ from serving import TINY, served
 from test_docs import BLOCK
 from test_live_web import Web
 
+from assist import fit, read_log
 from assist.cli import main
 from assist.cli.options import task
 from assist.cli.options.config import read_config
@@ -28,6 +31,7 @@ from assist.declare.declared import names_of
 from assist.declare.options import FieldOption, Given, Value, printed
 from assist.live import Session
 from assist.person.settings import Setting
+from planner import Table
 from planner.system.compiling import announce
 from planner.system.errors import InputFileError
 from planner.system.progress import compiling_line
@@ -157,7 +161,9 @@ def test_variables_that_kubernetes_sets_by_itself_are_passed_over() -> None:
     assert "80b; expected a whole number from 0 to 65535 (from KITASSIST_PORT)" in found.stderr
 
 
-def test_a_service_runs_from_one_file_and_follows_its_changes(tmp_path: Path) -> None:
+def test_a_service_runs_from_one_file_follows_its_changes_ends_and_goes_on_where_it_was(
+    tmp_path: Path, tiny: Table
+) -> None:
     shutil.copy(TINY, tmp_path / "own.pddl")
     shutil.copy(TINY.parent / "domain.pddl", tmp_path / "domain.pddl")
     (tmp_path / "far.json").write_text(json.dumps(NEAR))
@@ -175,7 +181,8 @@ person-1 = "tiny"
 """
     file.write_text(config)
     options = ("--config", file, "--humans", 2)  # an option overrides the file
-    with served(*options, instance=None) as service:
+    act, report = "/api/people/person-1/actions", {"action": "(fetch box-a)", "id": "1"}
+    with served(*options, instance=None) as service, ExitStack() as held:
         assert list(service.links) == ["person-1", "person-2"]
         assert service.ask("GET", "/api/health?ready=true").json() == {
             "status": "ok", "ready": True, "reasons": [], "people": 2, "events": 2,
@@ -197,8 +204,19 @@ person-1 = "tiny"
         file.write_text(config + "person-9 = 'tiny'")
         refused = service.ask("POST", "/api/reload")
         assert (refused.status_code, "person-9" in refused.json()["detail"]) == (422, True)
+        first = service.ask("POST", act, "person-1", json=report)
+        assert (first.status_code, first.json()["steps"], first.json()["cost_to_go"]) == (200, 1, 5.0)
+        team = service.ask("GET", "/api/team").json()
+        streams = []
+        for path in ("/api/people/person-1/events", "/api/team/events", "/api/team/changes"):
+            request = urllib.request.Request(service.url + path, headers={"Authorization": f"Bearer {service.token()}"})
+            streams.append(held.enter_context(urllib.request.urlopen(request, timeout=60)))
+            assert streams[-1].readline() == b"event: ping\n"
+        links = [service.operator, *service.links.values()]
         code, said = service.end(signal.SIGTERM)
         assert code == 0
+        for stream in streams:
+            assert stream.read().endswith(b"\n\n")  # complete events, and then an orderly end
     lines = [json.loads(line) for line in said.splitlines()]
     assert {line["logger"] for line in lines} == {
         "assist.cli", "assist.web.server", "assist.web.service", "assist.web.reports",
@@ -209,8 +227,21 @@ person-1 = "tiny"
         "a new session, in another folder, is needed for what else has changed: setting.c_suggest",
     ]
     reports = [(line["event"], line["outcome"]) for line in lines if line["message"] == "report"]
-    assert ("rearranged", "recorded") in reports
-    assert "person-1" not in said
+    assert {("rearranged", "recorded"), ("acted", "recorded")} <= set(reports)
+    assert not any(secret in said for secret in ("person-1", *(link.partition("#")[2] for link in links)))
+    file.write_text(config.replace('"tiny"', '"own"'))
+    with served(*options, "--log-format", "text", instance=None) as service:
+        again = [service.operator, *service.links.values()]
+        assert [link.partition("#")[2] for link in again] == [link.partition("#")[2] for link in links]
+        assert service.ask("POST", act, "person-1", json=report).json() == first.json()
+        after = service.ask("GET", "/api/team").json()
+        assert [person["belief"] for person in after["people"]] == [person["belief"] for person in team["people"]]
+        assert after["people"][0]["steps"] == 1
+        (tmp_path / "log.jsonl").write_text(service.ask("GET", "/api/log").text)
+        code, said = service.end(signal.SIGINT)  # Ctrl-C
+    began = [line.split(" in ")[0].split(";")[0] for line in said.splitlines()]
+    assert (code, began) == (0, ["preparing the session", "the session is saved"])  # and no task that was cancelled
+    assert fit(tiny, read_log(str(tmp_path / "log.jsonl")))["person-1"].actions == 1
 
 
 @pytest.mark.parametrize("level", [logging.INFO, logging.WARNING])

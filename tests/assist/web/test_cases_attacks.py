@@ -11,7 +11,6 @@ from urllib.parse import quote
 
 import pytest
 from conftest import ROOT
-from starlette.testclient import TestClient
 from test_cases_study_identities import signature_of
 from test_userstudy_pages import Web
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
@@ -235,15 +234,6 @@ def test_no_shipped_page_has_a_script_or_a_style_within_an_element() -> None:
     assert len(files) >= 9
     for file in files:
         assert not INLINE.search(file.read_text(encoding="utf-8")), file
-
-
-def test_without_a_token_there_are_pages_and_the_state_of_the_service_only(web: Web) -> None:
-    client = TestClient(web.client.app)
-    client.portal = web.client.portal
-    assert client.get("/api/health").status_code == 200
-    assert set(client.get("/api/health").json()) == {"status", "ready", "reasons", "people", "events"}
-    for path in ("/api/study", "/api/team", "/api/log", "/metrics", "/api/study/form", "/api/study/export"):
-        assert client.get(path).status_code in (401, 404), path
 
 
 def test_the_many_addresses_of_one_household_count_as_one() -> None:

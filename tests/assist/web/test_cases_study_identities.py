@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from starlette.testclient import TestClient
 from streams import watching
 from test_userstudy_pages import Web
-from userstudies import PLAN
+from userstudies import PLAN, WITHOUT_PRACTICE
 
 from assist.declare import catalogue
 from assist.studies.userstudy.codes import identifier
@@ -153,8 +153,7 @@ def test_places_that_nobody_uses_are_free_again(tiny: Table, tmp_path: Path) -> 
 
 def test_a_machine_cannot_hold_all_places_of_a_public_link(tiny: Table, tmp_path: Path) -> None:
     """A script that renews its requests has as many places as one address may have before a task has begun."""
-    text = "".join(line for line in FEW.splitlines(keepends=True) if not line.startswith("practice"))
-    web = Web(tiny, tmp_path, text.replace("participants = 3", "participants = 4\nper_address = 2"))
+    web = Web(tiny, tmp_path, WITHOUT_PRACTICE.replace("seed = 3", "seed = 3\nparticipants = 4\nper_address = 2"))
     with web.client:
         script = [web.come(f"script {number}") for number in range(4)]
         assert [answer.status_code for answer in script] == [200, 200, 409, 409]
@@ -279,6 +278,7 @@ FORMULAS = [
     "\uff0d1", "\uff20x", "\u3000\uff1d1", "\ufe661", "\u22121", "\n=1", "\r=1", "'=1", "' =1", " '=1", "\u2028=1",
 ]  # fmt: skip
 TEXTS = ["x=1", "a", "", "1=1", "\u00e9", "' a", "3 - 2", "(=1)"]
+CELLS = {"=1+1": "'=1+1", "\rx": "'\nx", "a\r\nb": "a\nb", "": "", None: "", -1: "-1", True: "true"}
 
 
 def test_no_cell_is_a_formula_and_every_text_comes_back() -> None:
@@ -289,6 +289,9 @@ def test_no_cell_is_a_formula_and_every_text_comes_back() -> None:
         assert cell.startswith("'"), ascii(text)
     for text in TEXTS:
         assert not is_formula(text)
+    for found, cell in CELLS.items():
+        (row,) = list(csv.reader(io.StringIO(written(("any",), [{"any": found}]), newline="")))[1:]
+        assert (row or [""]) == [cell]
 
 
 def test_signs_that_are_no_text_end_no_file() -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import httpx2 as httpx
 import pytest
-from networks import conducted
+from networks import ask, conducted
 from test_cases_networks import has_done, is_hidden
 from test_userstudy_pages import PATIENCE
 from userstudies import PLAN
@@ -95,21 +94,16 @@ def test_nothing_that_somebody_typed_stays_in_the_browser_for_the_next_person(
         page.wait_for_function("() => document.querySelector('#form textarea')?.value.startsWith('Quittenmus')")
         (person,) = service.session.people
 
-        def ask(rest: str, **body: Any) -> None:
-            headers = {"Authorization": f"Bearer {service.access.operator}"}
-            answer = httpx.post(f"{service.access.base}/api/{rest}", headers=headers, json=body, timeout=60)
-            assert answer.status_code == 200, answer.text
-
         if ends == "thanks":
             page.click("#form button.main")
             page.wait_for_selector("#actions button")
             for stage in ("practice", "task tiny"):
                 for action in tiny.optimal_plan(tiny.initial) or ():
-                    ask(f"people/{person}/actions", action=action)
-                ask(f"study/participants/{person}/onward", stage=stage)
+                    ask(service, "POST", f"/api/people/{person}/actions", json={"action": action})
+                ask(service, "POST", f"/api/study/participants/{person}/onward", json={"stage": stage})
             heading(page, "Thank you")
         else:
-            ask(f"study/participants/{person}/withdraw")
+            ask(service, "POST", f"/api/study/participants/{person}/withdraw", json={})
             heading(page, "You have left the study")
         page.wait_for_function(f"() => !({kept})().includes('Quittenmus')")
         context.close()

@@ -17,10 +17,19 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from conftest import KITTING, ROOT, table_of
+from networks import running
+from serving import Served, served
 
 from assist.cli import main
 from assist.drawing import Artist
+from assist.live import Joined, Session
+from assist.live.live_setting import LiveSetting
 from assist.live.store import stored
+from assist.people import Population
+from assist.web.app import make_app
+from assist.web.server import address, listen
+from assist.web.service import Service
+from assist.web.tokens import AccessTokens
 from planner import Instance, Table
 
 pytestmark = pytest.mark.long
@@ -41,12 +50,23 @@ def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def desk(journal: Path) -> Iterator[Any]:
-    from serving import served
-
     # People are assumed to err often, so that the robot makes suggestions; simulated ones do err.
     words = "--humans 5 --simulate 2 --set pace=2.5 --set population.beta=[0.1,0.6] --c-suggest 0.2 --c-move 0.05"
     with served(*words.split(), "--data", journal.parent, instance=PAPER) as running:
         yield running
+
+
+@pytest.fixture
+def quiet_desk(paper: Table, tmp_path: Path) -> Iterator[Served]:
+    """A service in this process, without simulated people; people are assumed to err often here, too."""
+    setting, often = LiveSetting(c_suggest=0.2, c_move=0.05), Population(beta=(0.1, 0.6))
+    session = Session({"paper": paper}, tmp_path / "journal.sqlite", setting=setting, population=often)
+    session.report_all([Joined(person="person-2")])
+    listening = listen("127.0.0.1", 0)
+    access = AccessTokens.kept(tmp_path / "secret", address(listening))
+    with running(make_app(Service(session, access)), listening):
+        links = {"person-2": access.join_url("person-2")}
+        yield Served(None, access.base, links, access.operator_url())  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -385,9 +405,11 @@ def test_somebody_completes_the_task_by_clicking_and_the_log_is_fitted(
     clicked.has_no_faults()
 
 
-def test_somebody_completes_the_task_by_keyboard_only(chromium: Any, desk: Any, paper: Table, artist: Artist) -> None:
+def test_somebody_completes_the_task_by_keyboard_only(
+    chromium: Any, quiet_desk: Served, paper: Table, artist: Artist
+) -> None:
     page = chromium.new_page(viewport={"width": 1024, "height": 768}, color_scheme="dark")
-    seat = Typing(page, desk, "person-2", paper, artist)
+    seat = Typing(page, quiet_desk, "person-2", paper, artist)
     seat.focus("box-a: Fetch")  # the drawing itself
     page.keyboard.press("Space")
     seat.waits_for(1)
@@ -493,8 +515,6 @@ def test_an_animation_is_a_page_that_everybody_can_use_and_has_no_script(
 
 @pytest.mark.slow
 def test_people_and_the_operator_see_and_answer_questions_about_probable_goals(chromium: Any, tmp_path: Path) -> None:
-    from serving import served
-
     kits = ROOT / "docs" / "examples" / "kits"
     asks = ("--set", "c_ask=0.01", "--c-suggest", 0.05, "--c-move", 0, "--data", tmp_path)
     with served("--goals", kits, "--humans", 2, *asks, instance=kits / "travel.pddl") as running:
@@ -538,8 +558,6 @@ def test_people_and_the_operator_see_and_answer_questions_about_probable_goals(c
 
 @pytest.mark.slow
 def test_an_operator_sees_changes_and_readmits_a_person(chromium: Any, tmp_path: Path) -> None:
-    from serving import served
-
     tasks = KITTING / "tiny.pddl", KITTING / "sealed.pddl"
     with served(tasks[1], "--humans", 1, "--data", tmp_path, instance=tasks[0]) as running:
         page = chromium.new_page()
@@ -559,8 +577,6 @@ def test_an_operator_sees_changes_and_readmits_a_person(chromium: Any, tmp_path:
 
 @pytest.mark.slow
 def test_a_person_says_what_they_did_last_when_it_was_seen_badly(chromium: Any, tmp_path: Path) -> None:
-    from serving import served
-
     asks = ("--set", "suggestions=all", "--set", "c_ask=0", "--c-suggest", 0.01, "--c-move", 0, "--data", tmp_path)
     with served("--humans", 1, *asks, "--set", "language=de", instance=PAPER) as running:
         seat = chromium.new_page(viewport={"width": 390, "height": 844})
@@ -592,8 +608,6 @@ EVERYTHING_SHOWN = """() => {
 
 @pytest.mark.slow
 def test_two_robots_serve_six_people_and_the_page_shows_both(chromium: Any, tmp_path: Path) -> None:
-    from serving import served
-
     words = "--humans 6 --simulate 6 --set pace=0.2 --set population.beta=[0.1,0.3] --c-suggest 0.05 --c-move 0.01"
     words += " --robots 2 --set travel_time=1"
     script = [sys.executable, ROOT / "docs" / "examples" / "robot.py"]

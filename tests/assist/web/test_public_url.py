@@ -161,6 +161,14 @@ def test_a_client_takes_links_with_a_path(strips: bool, tiny: Table, tmp_path: P
         assert [row["action"] for row in operator.log()] == ["(fetch box-a)"]
         with pytest.raises(Refusal, match="another person"):
             ann.see("bob")
+        with pytest.raises(Refusal, match="not applicable here") as refused:
+            ann.observe("ann", "(fetch box-b)")
+        assert refused.value.status == 409
+        operator.leave("ann")
+        with pytest.raises(Refusal, match="'ann' is not in the team"):
+            ann.see()
+    with pytest.raises(OSError, match="refused"):
+        Client(service.access.operator_url(), patience=0.3).robot()
 
 
 def test_a_link_of_a_client_may_have_any_path() -> None:

@@ -13,7 +13,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from streams import opened
 from test_userstudy_pages import Web
-from userstudies import PLAN, SCORES
+from userstudies import SCORES, WITHOUT_PRACTICE
 
 from assist.web.cookies import cookie_of
 from assist.web.request_limits import Allowance
@@ -26,8 +26,9 @@ BURST = 60  # requests at once of one caller, fewer than by default, so that a f
 
 
 def test_a_hostile_visitor_is_refused_and_disturbs_nobody(tiny: Table, tmp_path: Path) -> None:
-    text = PLAN.replace(f'practice = "{PLAN.split("practice = ")[1].split(chr(34))[1]}"\n', "")
-    web = Web(tiny, tmp_path, text, allowance=Allowance(burst=BURST, clock=lambda: 0.0), connections=CONNECTIONS)
+    web = Web(
+        tiny, tmp_path, WITHOUT_PRACTICE, allowance=Allowance(burst=BURST, clock=lambda: 0.0), connections=CONNECTIONS
+    )
     with web.client:
         attacks(web, tiny)
 
@@ -60,6 +61,8 @@ def attacks(web: Web, table: Table) -> None:
     refused: dict[str, tuple[int, Callable[[], Any]]] = {
         # Other people's rows.
         "no token": (401, raw("GET", own)),
+        "everybody's data without a token": (401, raw("GET", "/api/study/export")),
+        "the form without a token": (401, raw("GET", "/api/study/form")),
         "a guessed token": (401, raw("GET", own, headers={"Authorization": "Bearer " + "a" * 32})),
         "another's view": (403, by(eve, "GET", own)),
         "another's view by the join link": (403, by(VISITOR, "GET", own)),

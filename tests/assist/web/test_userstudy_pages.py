@@ -22,7 +22,7 @@ from serving import served
 from starlette.testclient import TestClient
 from streams import watching
 from test_live_pages import violations
-from userstudies import PLAN, SCORES, written
+from userstudies import PLAN, SCORES, WITHOUT_PRACTICE, written
 
 from assist.declare import catalogue, languages
 from assist.studies.userstudy import StudySession, read
@@ -431,8 +431,8 @@ def test_a_refusal_stays_on_the_page_and_each_task_has_a_clock_of_its_own(
 ) -> None:
     """Two tasks, each with a questionnaire, and a date for withdrawals that is over."""
     remarks = PLAN[PLAN.index('[[questionnaires]]\nform = "text"') : PLAN.index("[[conditions]]")]
-    text = PLAN.replace(f'practice = "{PLAN.split("practice = ")[1].split(chr(34))[1]}"\n', "")
-    text = text[: text.index("[[questionnaires]]")] + remarks + text[text.index("[[conditions]]") :]
+    before, after = WITHOUT_PRACTICE.index("[[questionnaires]]"), WITHOUT_PRACTICE.index("[[conditions]]")
+    text = WITHOUT_PRACTICE[:before] + remarks + WITHOUT_PRACTICE[after:]
     text = text.replace("seed = 3", 'seed = 3\ndesign = "within"\nwithdraw_until = 2020-01-01')
     file = written(tmp_path / "study.toml", text)
     context = chromium.new_context()

@@ -13,7 +13,7 @@ import pytest
 from conftest import thinned
 from store_faults import Failing
 from test_event_store import content, forked
-from userstudies import PLAN, SCORES, Open, Part, opened, written
+from userstudies import ALONE, PLAN, SCORES, Open, Part, opened, written
 
 from assist.cli.user_study import _report
 from assist.declare import AbsentError, InapplicableError, Refusal
@@ -161,7 +161,7 @@ def test_what_was_withdrawn_before_is_removed_when_the_study_goes_on(
     """Studies of earlier versions kept what was withdrawn; so does one whose process ends before the removal."""
     with monkeypatch.context() as patch:
         patch.setattr(Cohort, "withdrawn", lambda _: [])
-        session = opened()
+        session = opened(ALONE)
         eve, ann = (Part(session, name) for name in ("eve", "ann"))
         for part in (eve, ann):
             part.come()
@@ -169,7 +169,7 @@ def test_what_was_withdrawn_before_is_removed_when_the_study_goes_on(
         eve.report("withdrew")
         assert b"words of eve" in content(session.folder)
         session.close()
-    session = opened()
+    session = opened(ALONE)
     assert b"words of eve" not in content(session.folder)
     assert b"words of ann" in content(session.folder)
 
@@ -178,7 +178,7 @@ def test_what_was_withdrawn_before_is_removed_when_the_study_goes_on(
 def test_a_withdrawal_whose_data_cannot_be_removed_says_so_and_is_completed(
     opened: Open, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
-    session = opened()
+    session = opened(ALONE)
     eve = Part(session, "eve")
     eve.come()
     answers(eve)
@@ -205,7 +205,7 @@ def test_a_withdrawal_whose_data_cannot_be_removed_says_so_and_is_completed(
 def test_what_could_not_be_removed_is_tried_again_with_later_events(
     opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session = opened()
+    session = opened(ALONE)
     eve, ann = (Part(session, name) for name in ("eve", "ann"))
     for part in (eve, ann):
         part.come()
@@ -296,7 +296,7 @@ def test_a_report_that_is_being_written_has_nothing_of_who_withdraws_meanwhile(
     opened: Open, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
     """Another process has read the journal already, and writes its files after those of before were removed."""
-    session = opened()
+    session = opened(ALONE)
     for name in ("ann", "eve"):
         part = Part(session, name)
         part.come()
@@ -321,7 +321,7 @@ def test_a_flood_of_withdrawals_leaves_others_their_turn_and_all_are_removed(
     opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each removal reads the whole journal; while others have their turn, a page is told to ask again."""
-    session, now = opened(), [100.0]
+    session, now = opened(ALONE), [100.0]
     parts = [Part(session, f"P-{name}") for name in ("EVE234", "EVE235", "EVE236", "ANN234")]
     for part in parts:
         part.come()
@@ -350,7 +350,7 @@ def test_a_flood_of_withdrawals_leaves_others_their_turn_and_all_are_removed(
 def test_withdrawals_that_wait_are_removed_when_the_study_is_opened(
     opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session, now = opened(), [100.0]
+    session, now = opened(ALONE), [100.0]
     parts = [Part(session, f"P-EVE{n}") for n in range(234, 238)]
     for part in parts:
         part.come()
@@ -360,5 +360,5 @@ def test_withdrawals_that_wait_are_removed_when_the_study_is_opened(
     assert b"words of P-EVE237" in content(session.folder)
     session.close()
     monkeypatch.setattr("assist.studies.userstudy.session.LONG", -1.0)
-    session = opened()
+    session = opened(ALONE)
     assert b"words of P-EVE" not in content(session.folder)

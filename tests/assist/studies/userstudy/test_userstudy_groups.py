@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, thinned
+from conftest import thinned
 from scipy import stats
 from serving import served
 from test_live_pages import violations
-from userstudies import PLAN, Open, Part, opened, written
+from userstudies import WITHOUT_PRACTICE, Open, Part, opened, written
 
 from assist.declare import Catalogue, InapplicableError, catalogue, languages
 from assist.studies.reports.userstudy_data import StudyData
@@ -27,7 +27,7 @@ from planner import InputFileError, Table
 
 __all__ = ["opened"]
 GROUPS = (
-    PLAN.replace("simulated = 2\n", "")
+    WITHOUT_PRACTICE.replace("simulated = 2\n", "")
     .replace("[setting]", "[group]\nsize = 3\nwait = 5\n\n[setting]")
     .replace('name = "none"\npolicy = "none"', 'name = "none"\npolicy = "attention"')
 )
@@ -40,9 +40,8 @@ def waiting(session: StudySession, *names: str) -> list[Part]:
     parts = [Part(session, name) for name in names]
     for part in parts:
         part.come()
-        part.to("practice")
-        part.finish()
-        part.onward()
+        for _ in ("consent", "instructions"):
+            part.onward()
     return parts
 
 
@@ -260,7 +259,7 @@ def test_a_member_is_erased_and_the_others_are_as_before(opened: Open, erased: s
 
 def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
     session = opened(GROUPS.replace("size = 3", "size = 2"))
-    for number in range(6):
+    for number in range(4):
         pair = waiting(session, f"a{number}", f"b{number}")
         for _ in range(number + 1):
             pair[0].errs()
@@ -270,17 +269,17 @@ def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
     actions = {row["participant"]: row["actions"] for row in found.tasks}
     (measure,) = (one for one in StudyData(study, found).measures if one.name == "actions")
     who = session.cohort.participants
-    for number in range(6):
+    for number in range(4):
         own = measure.values[who[f"a{number}"].condition or ""]
         assert own[who[f"a{number}"].group or ""] == (actions[f"a{number}"] + actions[f"b{number}"]) / 2
     summary = summarise(study, found) | {"preregistration": None}
     (row,) = (one for one in summary["measures"] if one["measure"] == "actions")
-    assert [cell["n"] for cell in row["cells"]] == [3, 3]
+    assert [cell["n"] for cell in row["cells"]] == [2, 2]
     values = [list(own.values()) for own in measure.values.values()]
     assert row["differences"][0]["p"] == pytest.approx(stats.ttest_ind(*values, equal_var=False).pvalue)
     text = report_text(study, summary, {})
     assert "**The unit of analysis is the group**" in text
-    assert "Groups: none 3, attention 3." in text
+    assert "Groups: none 2, attention 2." in text
 
 
 def test_within_participants_a_group_waits_again_and_has_another_robot(opened: Open) -> None:
@@ -388,7 +387,7 @@ def begins(page: Any, said: Catalogue) -> None:
 @pytest.mark.parametrize("language", languages())
 def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path: Path, language: str) -> None:
     said = catalogue(language)
-    text = spoken(language).replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("wait = 5", "wait = 0.02")
+    text = spoken(language).replace("wait = 5", "wait = 0.02")
     context = chromium.new_context(viewport={"width": 360, "height": 740})
     page = context.new_page()
     page.set_default_timeout(60_000)
@@ -414,7 +413,7 @@ def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path:
 def test_three_people_in_three_browsers_share_one_robot(chromium: Any, tmp_path: Path) -> None:
     """In German, as the pages of those who wait are seen in English above."""
     said = catalogue("de")
-    text = spoken("de").replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("seed = 3", "seed = 3\ntick = 0.5")
+    text = spoken("de").replace("seed = 3", "seed = 3\ntick = 0.5")
     faults: list[str] = []
     with served("--study", written(tmp_path / "study.toml", text), "--data", tmp_path / "data", instance=None) as study:
         contexts = [chromium.new_context(viewport={"width": 360, "height": 740}) for _ in range(3)]
