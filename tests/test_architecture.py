@@ -80,7 +80,7 @@ ROOMS = {
         report_files study_summary study_claims study_figures study_report userstudy_data
         userstudy_comparisons userstudy_summary preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures schemas watchers service authorization request_limits
-        task_drawings event_routes routes metrics streams page_routes app connections server client""",
+        task_drawings event_routes request_faults routes metrics streams page_routes app connections server client""",
     "assist.web.user_study": "schemas service routes rehearsal server",
     "assist.connect": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.connect.bridges": """messages ordering session_client tasks transport errands kernel mqtt_settings

@@ -15,6 +15,7 @@ from fastapi import APIRouter, Depends, FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException as StarletteHTTPException
+from starlette.routing import BaseRoute
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from planner import LimitError
@@ -22,7 +23,7 @@ from planner import LimitError
 from ..declare.catalogue import catalogue
 from ..declare.refusals import Refusal
 from ..live.store import JournalError
-from . import event_routes, metrics, page_routes, routes, streams
+from . import event_routes, metrics, page_routes, request_faults, routes, streams
 from .authorization import known_query
 from .request_limits import Allowance, Guard, Networks
 from .service import Service
@@ -62,9 +63,10 @@ def make_app(
     )  # fmt: skip
     app.state.service, app.state.pictures = service, Pictures(str(service.texts.file))
     service.measures.registry.register(metrics.Present(service))
-    _says_what_is_wrong(app)
     events = event_routes.event_routes(service.events, service.shown)
-    for router in (events, routes.router, metrics.router, streams.router, page_routes.router, *more):
+    routers = (events, routes.router, metrics.router, streams.router, page_routes.router, *more)
+    _says_what_is_wrong(app, [one for router in routers for one in router.routes])
+    for router in routers:
         checked = [] if router is metrics.router else [Depends(known_query)]  # what reads metrics adds its own
         app.include_router(router, dependencies=checked)
     app.add_middleware(Guard, access=service.access, allowance=allowance, texts=service.texts)
@@ -72,7 +74,7 @@ def make_app(
     return app
 
 
-def _says_what_is_wrong(app: FastAPI) -> None:
+def _says_what_is_wrong(app: FastAPI, known: Sequence[BaseRoute]) -> None:
     def says(request: Request, status: int, headers: Any = None, /, key: str = "other", **values: Any) -> JSONResponse:
         """Return a refusal, in the language of the pages if a person asked, and in English to everybody else."""
         caller = getattr(request.state, "caller", None)
@@ -81,21 +83,22 @@ def _says_what_is_wrong(app: FastAPI) -> None:
 
     @app.exception_handler(StarletteHTTPException)
     async def refused(request: Request, error: StarletteHTTPException) -> Response:
-        if error.status_code == 404 and "text/html" in request.headers.get("accept", ""):  # somebody follows a link
-            return await page_routes.nowhere(request)
-        key = "page" if error.status_code == 404 else "other"
-        return says(request, error.status_code, error.headers, key, why=error.detail)
+        if error.status_code == 404:
+            if "text/html" in request.headers.get("accept", ""):  # somebody follows a link
+                return await page_routes.nowhere(request)
+            if request.scope["path"].startswith("/api/"):
+                return says(request, 404, why=request_faults.unknown(request, known))
+            return says(request, 404, None, "page")
+        if error.status_code == 405:
+            methods = request_faults.allowed(request, known)
+            why = f"{request.method}: expected {' or '.join(methods)} at this address"
+            return says(request, 405, {"allow": ", ".join(methods)}, why=why)
+        why = request_faults.unread(error.__cause__) if error.status_code == 400 else error.detail
+        return says(request, error.status_code, error.headers, why=why)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"] if part != "body")
-        whole = first["type"] == event_routes.SAID
-        kind = request.headers.get("content-type", "")
-        if first["loc"] == ("body",) and not whole and "json" not in kind and await request.body():
-            found = f"Content-Type: {kind[:80]}" if kind else "the header Content-Type is missing"
-            return says(request, 422, why=f"{found}; expected Content-Type: application/json")
-        return says(request, 422, why=first["msg"] if whole else f"{where or 'request body'}: {first['msg']}")
+        return says(request, 422, why=await request_faults.told(request, error))
 
     @app.exception_handler(Refusal)
     async def refuses(request: Request, error: Refusal) -> Response:

@@ -14,6 +14,7 @@ from fastapi.security import HTTPBearer
 
 from planner.system.errors import expected
 
+from ..declare.declared import Kind
 from ..declare.refusals import Refusal
 from ..live.names import name_of
 from .schemas import Problem
@@ -77,3 +78,4 @@ async def service_of(request: Request) -> Service:
 Operator = Annotated[None, Depends(operator)]
 Own = Annotated[str, Depends(own)]
 Desk = Annotated[Service, Depends(service_of)]
+Numbered = Annotated[int, Kind("a whole number")]

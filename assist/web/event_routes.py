@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 
 from ..live.event_base import Event, Recorded, fault_of
 from ..live.events import kinds
-from .authorization import WRITE, Desk, Operator, Own
+from .authorization import WRITE, Desk, Numbered, Operator, Own
 
 SAID = "said"
 """Type of the errors whose message is a whole sentence."""
@@ -88,7 +88,7 @@ def _add(router: APIRouter, kind: type[Event], view: type[Any]) -> None:
 
     parameter = inspect.Parameter
     # A person need not be present when the operator's report is repeated; otherwise the event says who has to be.
-    known = {"person": str if kind.by_operator else Own, "robot": int}
+    known = {"person": str if kind.by_operator else Own, "robot": Numbered}
     needed = [("service", Desk), *((name, known[name]) for name in inside)]
     if kind.by_operator:
         needed.append(("_", Operator))

@@ -10,19 +10,24 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse
 
 from ..declare.catalogue import languages
-from ..declare.declared import View
+from ..declare.declared import Expected, Kind, View
 from ..declare.refusals import AbsentError, Refusal
 from ..live.names import LONGEST_REASON
 from ..live.store import Tombstone
 from ..live.views import PersonView, RobotView
 from . import cookies
-from .authorization import READ, Desk, Operator, Own, bearer, refusals
+from .authorization import READ, Desk, Numbered, Operator, Own, bearer, refusals
 from .schemas import Drawn, Explained, Health, Me, Reloaded, Team
 from .service import Erasure
 from .task_drawings import Pictures
 from .tokens import Caller
 
 router = APIRouter()
+Reason = Annotated[
+    str, Query(min_length=1, max_length=LONGEST_REASON), Expected(f"a reason of 1 to {LONGEST_REASON} characters")
+]
+Width = Annotated[int, Kind("a whole number"), Query(ge=240, le=2000)]
+TaskName = Annotated[str, Query(max_length=200), Expected("the name of a task, of up to 200 characters")]
 
 
 def plain(body: bytes | View, media_type: str = "application/json") -> Response:
@@ -31,7 +36,7 @@ def plain(body: bytes | View, media_type: str = "application/json") -> Response:
 
 
 @router.get("/api/health", tags=["service"], response_model=Health, responses=refusals(422) | {503: {"model": Health}})
-async def health(service: Desk, ready: bool = False) -> Any:
+async def health(service: Desk, ready: Annotated[bool, Kind("true or false")] = False) -> Any:
     """Return the state of the service; needs no token. With `ready=true` the status is 503 if it is not ready."""
     reasons = service.unready()
     state = Health(
@@ -65,9 +70,7 @@ async def view(person: Own, service: Desk) -> Response:
 
 
 @router.get("/api/people/{person}/drawing", tags=["people"], response_model=Drawn, responses=READ | refusals(409, 422))
-async def drawing(
-    person: Own, request: Request, service: Desk, width: Annotated[int, Query(ge=240, le=2000)] = 760
-) -> Response:
+async def drawing(person: Own, request: Request, service: Desk, width: Width = 760) -> Response:
     """Return a drawing of the person's task, about `width` pixels wide; pages also load `/pages/drawing.css`."""
     pictures: Pictures = request.app.state.pictures
 
@@ -84,8 +87,12 @@ async def drawing(
 )
 async def explanation(
     person: Own, request: Request, service: Desk,
-    against: Annotated[str | None, Query(min_length=1, max_length=1000, examples=["(fetch box-b)"])] = None,
-    language: Annotated[str | None, Query(max_length=35)] = None,
+    against: Annotated[
+        str | None,
+        Query(min_length=1, max_length=1000, examples=["(fetch box-b)"]),
+        Expected("an action, as (name argument ...)"),
+    ] = None,
+    language: Annotated[str | None, Query(max_length=35), Expected("the name of a language, such as en")] = None,
 ) -> Response:  # fmt: skip
     """Return why the person has this suggestion now, or none; with `against`, the step against another action.
 
@@ -111,7 +118,7 @@ async def explanation(
 
 
 @router.get("/api/robots/{robot}", tags=["robots"], response_model=RobotView, responses=refusals(403, 404, 422))
-async def instruction(_: Operator, robot: int, service: Desk) -> Response:
+async def instruction(_: Operator, robot: Numbered, service: Desk) -> Response:
     """Return where a robot, by its number from 1, should go and what it should suggest there."""
     robots = service.outlook.robots
     if not 1 <= robot <= len(robots):
@@ -128,9 +135,7 @@ async def team(_: Operator, service: Desk) -> Response:
 @router.delete(
     "/api/people/{person}/records", tags=["team"], response_model=Tombstone, responses=refusals(403, 404, 422, 503, 507)
 )
-async def erase(
-    _: Operator, person: str, service: Desk, reason: Annotated[str, Query(min_length=1, max_length=LONGEST_REASON)]
-) -> Response:
+async def erase(_: Operator, person: str, service: Desk, reason: Reason) -> Response:
     """Erase all that is recorded of a person, for good; present or not, they leave first."""
     return plain(Tombstone(**await service.report(Erasure(person, reason))))
 
@@ -146,7 +151,7 @@ async def reload(_: Operator, service: Desk) -> Response:
     "/api/log", tags=["team"], response_class=Response,
     responses=refusals(403, 422) | {200: {"content": {"application/x-ndjson": {"schema": {"type": "string"}}}}},
 )  # fmt: skip
-async def log(_: Operator, service: Desk, task: Annotated[str | None, Query(max_length=200)] = None) -> Response:
+async def log(_: Operator, service: Desk, task: TaskName | None = None) -> Response:
     """Return recorded actions as JSON Lines for `kitassist fit`; with `task`, only those in this task."""
     rows = await asyncio.to_thread(service.session.log, task)
     return plain("".join(json.dumps(row) + "\n" for row in rows).encode(), "application/x-ndjson")

@@ -85,7 +85,8 @@ def test_explanations(web: Web) -> None:
         found = web.ask("GET", f"/api/people/{name}/explanation", name).json()
         assert (found["sentences"], found["step"]) == (["Suggestions are paused."], None)
         refused = web.ask("GET", f"/api/people/{name}/explanation", name, params={"against": WRONG})
-        assert (refused.status_code, refused.json()["detail"][:19]) == (409, "nothing is suggeste")
+        assert refused.status_code == 409
+        assert refused.json()["detail"].endswith("; ask without an action why nothing is suggested")
     web.ask("POST", "/api/team/pause", json={"paused": False})
     views = {name: web.ask("GET", f"/api/people/{name}", name).json() for name in ("ann", "bob")}
     (one,), (other,) = ([name for name, seen in views.items() if (seen["suggestion"] is None) == so] for so in (0, 1))
@@ -105,6 +106,8 @@ def test_explanations(web: Web) -> None:
     for query, status, detail in (
         ({"against": "(fetch box-a)"}, 409, "(fetch box-a) is not applicable here"),
         ({"against": "(fly)"}, 422, "no action of the task"),
+        ({"against": "wait"}, 409, "not applicable here; nearest in spelling of the 3 applicable: (place hammer"),
+        ({"against": ""}, 422, "against '': expected an action, as (name argument ...)"),
         ({"against": seen["suggestion"]}, 422, "is the step itself"),
         ({"language": "../en"}, 422, "language: expected one of en, de"),
     ):
@@ -574,6 +577,39 @@ def test_what_a_request_misspells_is_told(web: Web) -> None:
         assert refused.json()["detail"] == f"{said}; expected Content-Type: application/json"
     refused = web.ask("POST", f"{ANN}/undo", "ann", json={"of": "answerd"})
     assert (refused.status_code, refused.json()["detail"]) == (422, "of 'answerd': did you mean 'answered'?")
+
+
+@pytest.mark.cases
+def test_a_request_that_cannot_be_read_is_told_in_plain_words(web: Web) -> None:
+    """A body that is no JSON or no object, a wrong method, an unknown address, a wrong or missing parameter."""
+    object_ = "expected an object, such as {}"
+    act, undo = f"{ANN}/actions", f"{ANN}/undo"
+    for status, method, path, body, said in (
+        (422, "POST", act, b'{"action": ', f"request body: no JSON at character 12 (expecting value); {object_}"),
+        (422, "POST", act, b'["(fetch box-a)"]', f"request body: a list; {object_}"),
+        (422, "POST", undo, b"[]", f"request body: a list; {object_}"),
+        (422, "POST", undo, b"1.5", f"request body: a number; {object_}"),
+        (422, "POST", "/api/team/people", b"null", f"request body: is missing; {object_}"),
+        (400, "POST", act, b'{"action": "\xff"}', f"request body: is not in UTF-8; {object_}"),
+        (400, "POST", act, b"[" * 60_000, f"request body: is nested too deeply; {object_}"),
+        (405, "PUT", act, b"{}", "PUT: expected POST at this address"),
+        (405, "PUT", "/api/people/ann/records", b"", "PUT: expected DELETE at this address"),
+        (404, "POST", f"{ANN}/action", b"{}",
+         f"{ANN}/action: there is no such address; did you mean /api/people/{{person}}/actions?"),
+        (404, "GET", "/api/xyz", None, "/api/xyz: there is no such address; see /docs for those that there are"),
+        (404, "GET", "/xyz", None, "there is no such page"),
+        (422, "GET", "/api/robots/x", None, "robot 'x': expected a whole number"),
+        (422, "POST", "/api/robots/x/arrived", b'{"person": "ann"}', "robot 'x': expected a whole number"),
+        (422, "GET", "/api/health?ready=perhaps", None, "ready 'perhaps': expected true or false"),
+        (422, "GET", f"{ANN}/drawing?width=3", None, "width '3': expected a whole number from 240 to 2000"),
+        (422, "DELETE", "/api/people/ann/records", None,
+         "parameter 'reason' of the address: is missing; expected a reason of 1 to 200 characters"),
+    ):  # fmt: skip
+        headers = web.who(None) | {"Content-Type": "application/json"}
+        answer = web.client.request(method, path, content=body, headers=headers)
+        assert (answer.status_code, answer.json()) == (status, {"detail": said})
+    assert web.ask("PUT", act, "ann").headers["allow"] == "POST"
+    assert web.ask("DELETE", ANN, "ann").headers["allow"] == "GET"
 
 
 @pytest.mark.cases
