@@ -29,6 +29,9 @@ COMMANDS = {
 }
 """Summary of each command for `kitassist --help`. The command `study-report` is in the module `study_report`."""
 
+MEANT = {"goals": "infer", "live": "serve", "plan": "solve"}
+"""Commands by words that others may have for them, and that are not alike in spelling."""
+
 
 class Commands(click.Group):
     """A group that imports commands on use. It handles output encoding, signals and one-line errors for all of them."""
@@ -42,7 +45,8 @@ class Commands(click.Group):
         if cmd_name not in COMMANDS:
             if cmd_name.startswith("-"):  # an unknown option; click reports it
                 return None
-            ctx.fail(f"There is no command '{cmd_name}'; {expected(cmd_name, COMMANDS)}")
+            right = expected(MEANT.get(cmd_name, cmd_name), COMMANDS)
+            ctx.fail(f"There is no command '{cmd_name}'; {right}")
         name = cmd_name.replace("-", "_")
         command: click.Command = getattr(import_module(f".{name}", __package__), name)
         return command

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import date
@@ -17,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from planner.system.errors import in_words
+
+from . import tables
 
 FOLDER = Path(__file__).parent
 FIRST = "en"
@@ -127,16 +128,15 @@ def catalogue(language: str = FIRST) -> Catalogue:
         return _read(file, file.stat().st_mtime_ns, own)
     except OSError as error:
         raise ValueError(in_words(error)) from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"{file}: {error}") from None
 
 
 @lru_cache(maxsize=16)
 def _read(file: Path, _changed: int, own: bool) -> Catalogue:
     """Return the texts in a file, which is read again after it has changed."""
-    texts = dict(_texts(tomllib.loads(file.read_text(encoding="utf-8"))))
+    texts = dict(_texts(tables.load(file)))
     if own or file.stem != FIRST:
-        _check(file, texts, catalogue(FIRST).texts)
+        with tables.located(file):
+            _check(file, texts, catalogue(FIRST).texts)
     return Catalogue(file, texts)
 
 
@@ -151,11 +151,13 @@ def _texts(tree: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str
 def _check(file: Path, texts: Mapping[str, str], first: Mapping[str, str]) -> None:
     for key in [*first, *texts]:
         if key not in texts or key not in first:
-            raise ValueError(f"{file}: {'there is no' if key in first else 'unknown'} text {key}")
+            raise tables.fault(
+                file, key, "is missing; expected a text" if key in first else "unknown; expected no text"
+            )
         # English begins actions with a small letter; a language may take the words as they are.
         allowed = _placeholders(first[key]) | ({"words", "inner"} if key == "actions.worded" else set())
         if wrong := _placeholders(texts[key]) - allowed:
-            raise ValueError(f"{file}: {key}: {{{min(wrong)}}}; expected {', '.join(sorted(allowed)) or 'no name'}")
+            raise tables.fault(file, key, f"{{{min(wrong)}}}; expected {', '.join(sorted(allowed)) or 'no name'}")
 
 
 def _placeholders(text: str) -> set[str]:

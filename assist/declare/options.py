@@ -7,6 +7,7 @@ A fault is told with the option, the variable or the line of the file that has s
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -229,6 +230,12 @@ class Given(Generic[T]):
                 what = f"{table}.{spelt(place)}".strip(".")
                 return f"{source}:{tables.line_of(source, what)}: {what}: {error.told}"
             return f"{source}: {f'{spelt(place)}: ' * (len(place) > length)}{error.told}"
+        for one, (source, table) in self.sources.items():  # a fault of several fields, which names one of a file
+            names_it = one[: len(place)] == place and re.search(rf"\b{one[-1]}\b", error.right)
+            if isinstance(source, Path) and names_it:
+                line = tables.line_of(source, f"{table}.{spelt(one)}".strip("."))
+                what = f"{table}.{spelt(place)}".strip(".")
+                return f"{source}:{line}: {what}{': ' * bool(what)}{error.told}"
         return str(error)
 
 
@@ -396,18 +403,23 @@ def printed(kind: Any) -> str:
     return "\n".join(_lines(kind, ""))
 
 
-def _lines(kind: Any, hidden: str) -> list[str]:
-    """Return the lines of a table; `hidden` is "# " where the table is not set."""
+def _lines(kind: Any, hidden: str, usual: Any = None) -> list[str]:
+    """Return the lines of a table; `hidden` is "# " where the table is not set.
+
+    Where another object of the class, `usual`, stands for a table that is not set, fields that it has otherwise are
+    without a value: their sentence, or that of the table, says what holds.
+    """
     lines, tables_after = list[str](), list[str]()
     for name in names_of(kind):
         annotation, default = annotation_of(kind, name), default_of(kind, name)
         inner, text = bare(annotation), f"# {sentences(kind)[name]}"
         if is_declared(inner):
             unset = hidden if default == inner() else "# "
-            tables_after += ["", text, f"{unset}[{name}]", *_lines(inner, unset)]
+            tables_after += ["", text, f"{unset}[{name}]", *_lines(inner, unset, default)]
             continue
         lines.append(f"{text} It is {phrase(annotation)}.")
-        value = "" if default is MISSING else plain(default)
+        otherwise = is_declared(type(usual)) and getattr(usual, name) != default
+        value = "" if default is MISSING or otherwise else plain(default)
         lines.append(f"# {name} =" if value in ("", None, [], {}) else f"{hidden}{name} = {toml(value)}")
     return lines + tables_after
 

@@ -30,9 +30,12 @@ def load(file: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         message = f"byte {error.start} is not UTF-8; expected a text file in that encoding"
-        raise InputFileError(f"{file}:{line}: {message}") from None
+        raise InputFileError.of(file, line, message) from None
     except tomllib.TOMLDecodeError as error:
-        raise InputFileError(f"{file}: {error}") from None
+        what, _, where = str(error).removesuffix(")").partition(" (at ")
+        line, column = re.findall(r"\d+", where) or (len(data.splitlines()), None)
+        at = where if column is None else f"column {column}"
+        raise InputFileError.of(file, int(line), f"not TOML ({at}: {what})") from None
 
 
 def fault(file: Path, place: str, message: str) -> InputFileError:
@@ -54,10 +57,7 @@ def located(file: Path) -> Iterator[None]:
 
 def line_of(file: Path, fault: str) -> int:
     """Return the line, counted from 1, where the value at fault begins, or the table that should contain it."""
-    said = re.search(r"\(at line (\d+), column \d+\)", fault)
     text = file.read_bytes().decode("utf-8-sig", errors="replace")
-    if said or "end of document" in fault:
-        return int(said[1]) if said else len(text.splitlines())
     path: list[Any] = [
         int(number) - 1 if number else name
         for name, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", fault.partition(": ")[0])

@@ -26,7 +26,7 @@ from planner.system.results import Result
 from ..people.action_names import words_of, wrong_form
 from .log_files import IN_TEAM, NEEDED, is_hidden, lacking_column, named_rows, own_names, read_records, tidy
 from .log_rows import Broken, Names, Row, Taken
-from .log_steps import moment
+from .log_steps import days_in_disorder, expected_date, moment
 
 EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
 
@@ -316,6 +316,13 @@ def _log(records: Iterable[Row], gaps: bool, name: str, taken: Taken) -> Log:
     if lowest and not gaps:
         counted = f"steps that count from {lowest}: a first line that is missing in every episode is not noticed"
         note = f"{note}; {counted}" if note else f"read {counted}"
+    episodes: dict[str, list[str]] = {}
+    for owner, episode in sorted({entry.names for entry in entries}, key=lambda names: [*map(in_order, names)]):
+        episodes.setdefault(owner, []).append(episode)
+    disorder = next(filter(None, map(days_in_disorder, episodes.values())), None)
+    if disorder is not None:
+        said = f"episodes such as '{disorder}' in the order of these numbers, perhaps not of days; expected 2026-03-01"
+        note = f"{note}; {said}" if note else f"read {said}"
     entries = [entry for entry in entries if entry.names not in spoilt]
     incomplete = _incomplete(entries, sorted(lost), gaps, lowest)
     faults += incomplete.values()
@@ -389,7 +396,8 @@ def _fault(record: Any) -> str | None:
         value = record.get(key)
         if not isinstance(value, types) or isinstance(value, bool):
             time = f", or {GAPS} if steps are times" if key == "step" and moment(value) is not None else ""
-            return f"'{key}' is {_short(value)}; expected {wanted}{time}"
+            date = expected_date(value) if key == "step" and not time else ""
+            return f"'{key}' is {_short(value)}; expected {wanted}{time or date}"
         if isinstance(value, str) and is_hidden(value):
             return f"'{key}' is {json.dumps(value)}, which cannot be shown; expected {wanted}"
     if not -(2**63) <= record["step"] < 2**63:

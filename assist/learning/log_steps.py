@@ -15,6 +15,9 @@ CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}(?:[.,]\d+)?)")
 AMBIGUOUS = re.compile(r"[+-]?\d{1,3},\d{3}")
 """A comma that may separate decimals or thousands."""
 
+DAY_OR_MONTH_FIRST = re.compile(r"(?<!\d)(\d{1,2})([./-])(\d{1,2})\2(\d{4}|\d\d)(?!\d)")
+"""A date of which a reader does not know whether the day or the month comes first."""
+
 DECIMAL = re.compile(r"[+-]?(\d{1,20})[.,](\d{1,20})")
 
 
@@ -37,6 +40,28 @@ def whole(value: object) -> int | None:
     if re.fullmatch(r"\d([.,]\d{1,14})?[eE]\+?\d\d?", text):  # as R writes 100000
         number = float(text.replace(",", "."))
         return int(number) if number.is_integer() else None
+    return None
+
+
+def expected_date(value: object) -> str:
+    """Return what is said of a step that is a date in another form than is read; an empty text if it is none."""
+    found = isinstance(value, str) and (DAY_OR_MONTH_FIRST.match(value.strip()) or re.match(r"\d{4}[-/.]\d", value))
+    return ", or a date with a time such as 2026-03-01T09:00:00" if found else ""
+
+
+def days_in_disorder(names: Sequence[str]) -> str | None:
+    """Return the first of some names, in their order, with dates that may be out of order; None if they are not.
+
+    Dates such as 01.03.2026 are ordered as numbers are: by their first, second and third part. That is no order of
+    days where the day or the month, whichever comes first, does not fall when the year or the other one rises.
+    """
+    found = [one for one in map(DAY_OR_MONTH_FIRST.search, names) if one is not None]
+    parts = [(int(one[1]), int(one[3]), int(one[4])) for one in found]
+    for day, month in ((0, 1), (1, 0)):
+        if all(part[month] <= 12 for part in parts):
+            days = [(part[2], part[month], part[day]) for part in parts]
+            if days != sorted(days):
+                return found[0][0]
     return None
 
 

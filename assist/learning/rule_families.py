@@ -6,10 +6,16 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from inspect import Parameter, signature
 from itertools import product
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import Field
+
+from planner.system.errors import expected
+
+from ..declare.declared import DeclarationError, Expected, Number, Range, checked
 from ..people.given_rules import rule_to_fit
 from ..people.trust_rules import RULES, TrustRule, constant, fields_of, fitted_of
 from ..people.user_code import UserCodeError
@@ -18,6 +24,8 @@ from .likelihood import Method
 
 KNOWN = ("eta", "utility_scale")
 """Parameters of rules that a `Method` may know."""
+Names = Annotated[frozenset[str], Expected("a set of names of ranges")]
+Tried = Annotated[tuple[Any, ...], Field(min_length=1), Expected("a tuple of tuples, each with a value for each range")]
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,11 @@ class RuleFamily:
         Parameters whose values are their logarithms.
     beside : str
         What beside suggestions to oneself moves theta, for the name of the rule.
+
+    Raises
+    ------
+    ValueError
+        They do not fit together: the message says where, and what is expected.
     """
 
     make: Callable[..., TrustRule]
@@ -43,6 +56,27 @@ class RuleFamily:
     tried: tuple[tuple[float, ...], ...]
     logarithms: frozenset[str] = frozenset()
     beside: str = ""
+
+    def __post_init__(self) -> None:
+        if not callable(self.make):
+            raise ValueError(f"make {self.make!r}: expected the class of a rule, or a function that returns one")  # noqa: TRY004
+        ranges = _at("ranges", dict[str, Range], self.ranges)
+        for name, (low, high) in ranges.items():
+            if not low < high:
+                raise ValueError(f"ranges: {name} ({low:g}, {high:g}): expected two numbers, low < high")
+        _require_parameters(self.make, list(ranges))
+        for name in _at("logarithms", Names, self.logarithms):
+            if name not in ranges:
+                right = expected(name, ranges) if ranges else "expected none"
+                raise ValueError(f"logarithms: {name}: has no range; {right}")
+        for number, given in enumerate(_at("tried", Tried, self.tried)):
+            values = _at("tried", tuple[Number, ...], given, number)
+            if len(values) != len(ranges):
+                names = ", ".join(ranges) or "nothing"
+                raise ValueError(f"tried[{number + 1}] {given!r}: expected values of {names}, as many as ranges")
+            for (name, (low, high)), value in zip(ranges.items(), values, strict=True):
+                if not low <= value <= high:
+                    raise ValueError(f"tried[{number + 1}] {given!r}: {name} is outside its range, {low:g} to {high:g}")
 
     def parameter(self, name: str, value: float) -> float:
         """Return the parameter that a value stands for."""
@@ -97,6 +131,27 @@ class RuleFamily:
     def of(cls, rule: Any) -> RuleFamily:
         """Return the family of one rule, without parameters to estimate."""
         return cls(lambda: rule, {}, ((),))
+
+
+def _at(field: str, kind: Any, value: Any, *place: int) -> Any:
+    """Return an argument as its type has it; a fault is told with the argument's name."""
+    try:
+        return checked(kind, value)
+    except DeclarationError as error:
+        raise error.within((field, *place)) from None
+
+
+def _require_parameters(make: Callable[..., Any], names: Sequence[str]) -> None:
+    """Check that a rule takes these parameters."""
+    try:
+        taken = signature(make).parameters
+    except (TypeError, ValueError):  # some callables do not say
+        return
+    some = any(one.kind is Parameter.VAR_KEYWORD for one in taken.values())
+    for name in () if some else names:
+        if name not in taken:
+            right = expected(name, taken) if taken else "the rule has no parameters"
+            raise ValueError(f"ranges: {name}: no parameter of the rule; {right}")
 
 
 def families(method: Method) -> dict[str, RuleFamily]:

@@ -19,9 +19,9 @@ from planner import CostToGo
 from ..declare.refusals import InapplicableError
 from ..people.choices import Choices
 from ..people.decision import Floats
+from ..people.hidden_type import is_certain
 from ..people.same_costs import same_cost
 from ..person.beliefs import Beliefs
-from ..person.joint_belief import is_certain
 from ..person.policy import Policy
 from ..person.rows_of_people import by_model
 from ..person.settings import Setting
@@ -220,7 +220,7 @@ class DecisionPoint:
 
     def certainly_ended(self, place: int) -> bool:
         """Return whether a person has certainly reached their goal."""
-        return bool(self.ended[place]) and is_certain(self.beliefs.finished(place, self._at(place)[1]))
+        return bool(self.ended[place] and is_certain(self.beliefs.finished(place, self._at(place)[1])))
 
     def asked(self, place: int | None) -> WhyQuestion | None:
         """Return the open question to a person, or the first one if nobody can get a suggestion."""
@@ -270,7 +270,7 @@ class DecisionPoint:
         """
         _, policy, row = self._at(place)
         pomdp, goals = policy.pomdp, policy.pomdp.model.choices.goals
-        share = pomdp.hidden.marginal(self.beliefs.belief[place], "goal")
+        share = pomdp.hidden.told_goals(self.beliefs.belief[place])
         optimal = goals.optimal[row, pomdp.suggested[row, said]] & ~goals.goal[:, row]
         goal = int(np.where(optimal if optimal.any() else True, share, -1.0).argmax())
         return goal, float(share[goal])

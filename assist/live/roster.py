@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..declare.refusals import AbsentError
 from ..people.decision import Floats
+from ..people.hidden_type import is_certain
 from ..people.trust_rules import TrustRule
 from ..person.beliefs import Ask
-from ..person.joint_belief import JointBelief, is_certain
+from ..person.joint_belief import JointBelief
 from ..person.rows_of_people import by_model
 from ..person.settings import Setting
 from ..person.uncertain_states import UncertainStates
@@ -444,7 +445,7 @@ class Roster:
 
     def stopped(self, record: RosterEntry) -> bool:
         """Return whether a person has certainly reached their goal."""
-        return is_certain(self.finished(record))
+        return bool(is_certain(self.finished(record)))
 
     def of_each(self, ask: Ask, active: NDArray[np.bool_]) -> Floats:
         """Return the answers about all people, shape (P, W); those of active people are up to date.

@@ -43,6 +43,11 @@ KNOWN = ""
 """The name of a goal that is known."""
 
 
+def is_certain(probability: float | Floats) -> bool | Bools:
+    """Return whether a sum of probabilities is 1, up to rounding."""
+    return probability > 1 - 1e-9
+
+
 @dataclass(frozen=True, eq=False)
 class OfGoals:
     """What differs between the goals of which a person pursues one, in n states with up to A choices each.
@@ -180,7 +185,12 @@ class HiddenType:
         """Return the probability of each goal under a belief, shape (H, T); nothing if the goal is known."""
         if not self.distinguishes_goals:
             return {}
-        return dict(zip(self.goals, self.marginal(belief, "goal").tolist(), strict=True))
+        return dict(zip(self.goals, self.told_goals(belief).tolist(), strict=True))
+
+    def told_goals(self, belief: Floats) -> Floats:
+        """Return the probability of each goal, shape (G,), as it is told to people: what is certain is 1 exactly."""
+        share = self.marginal(belief, "goal")
+        return np.where(is_certain(share), 1.0, share)
 
     def of_people(self, belief: Floats) -> Floats:
         """Return the belief in what a person keeps in their next task: all parts but the goal, shape (H / G, T)."""

@@ -13,6 +13,9 @@ from .ranges import Population, Range
 if TYPE_CHECKING:
     from .choice_model import ChoiceModel
 
+OF_ADVICE_TAKERS = ("beta", "sigma", "chooses")
+"""Fields of a population whose influence is that of real people."""
+
 
 def advice_takers(
     beta: Range = (0.1, 3.0), sigma: Range = (0.1, 1.0), *, center: float = 1.7, spread: float = 1.4,

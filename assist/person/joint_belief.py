@@ -215,11 +215,6 @@ class JointBelief:
         return JointBelief(situations, joint, (1 - share) * self.erred + share * other.erred, pruned)
 
 
-def is_certain(probability: float) -> bool:
-    """Return whether a sum of probabilities is 1, up to rounding."""
-    return probability > 1 - 1e-9
-
-
 def same_suggestions(pomdp: AssistPOMDP, of: Ints, there: Ints) -> Ints:
     """Return the robot actions that suggest the same ground actions in other states, shape (N, R).
 

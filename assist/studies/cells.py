@@ -16,6 +16,7 @@ from planner import CostToGo, Instance, Table
 from planner.system.errors import InputFileError
 from planner.system.progress import Progress, adding
 
+from ..declare.tables import fault, located
 from ..people.choices import Choices
 from ..people.memory import choices_of
 from ..people.ranges import Population
@@ -205,13 +206,14 @@ def check(study: Study, progress: Progress = lambda *_: None) -> None:
             _own(file, name)
         except UserCodeError as error:
             raise InputFileError(str(error)) from None
-    for condition in study.conditions:
-        for label, setting in condition.settings:
+    for number, condition in enumerate(study.conditions, start=1):
+        for which, (label, setting) in enumerate(condition.settings, start=1):
             for name in condition.instances:
                 try:
                     choices, frontier = _part(_task(dict(study.instances)[name]))
                     Assumptions.of(setting, None, Population()).problem(choices, frontier)
                     setting.require_questions(possible=choices.goals.distinguished)
                 except ValueError as error:
-                    place = f"condition '{condition.name}', setting '{label}'" if label else "setting"
-                    raise InputFileError(f"{study.file}: {place}: {error}") from None
+                    with located(study.file):
+                        place = f"conditions[{number}].settings[{which}]" if label else "setting"
+                        raise fault(study.file, place, str(error)) from None

@@ -16,13 +16,10 @@ from ..declare.declared import shown
 from ..declare.tables import convert, fault
 from ..learning import distribution as populations
 from ..people.ranges import Population
-from ..people.real_people import advice_takers
+from ..people.real_people import OF_ADVICE_TAKERS, advice_takers
 from ..people.terms import TERMS
 from ..people.user_code import parse
 from ..team.policy_names import POLICIES
-
-OF_ADVICE_TAKERS = ("beta", "sigma", "chooses")
-"""Fields of a population whose influence is that of real people."""
 
 
 def among(file: Path, place: str, names: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:

@@ -78,8 +78,9 @@ def bundled_near(name: str | Path) -> str:
 
 def not_there(path: Path, what: str) -> str:
     """Return what is said of a path that is neither a user's nor bundled, with the names that were perhaps meant."""
-    near = bundled_near(path)
-    return f"{what}{near}" if near else no_such(path, what)
+    found = f"{what}{bundled_near(path)}"
+    found = no_such(path, what) if found == what else found
+    return f"{what}; `kitassist domains` lists the tasks that come with the package" if found == what else found
 
 
 def bundled_tasks() -> list[BundledTask]:

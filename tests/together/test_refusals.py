@@ -333,6 +333,12 @@ def test_what_cannot_be_is_refused(given: Given, what: str) -> None:
     [
         ("solve kitting/tiny --resume", "--resume needs --out"),
         ("draw kitting/tiny --plan tiny.plan --log t.jsonl --out a.svg", "--plan and --log: expected one of them"),
+        ("live kitting/tiny", "There is no command 'live'; did you mean 'serve'?"),
+        ("serve nosuch --humans 2", "nosuch: no such file or folder; `kitassist domains` lists the tasks that come"),
+        (
+            "export nosuch --out a.pomdp",
+            "nosuch: no such file or folder; `kitassist domains` lists the tasks that come",
+        ),
         ("slove kitting/tiny", "There is no command 'slove'; did you mean 'solve'?"),
     ],
 )

@@ -14,7 +14,7 @@ from planner.system.errors import InputFileError, expected
 from planner.system.files import read_json
 
 from ...declare.catalogue import catalogue
-from ...declare.declared import Whole, names_of
+from ...declare.declared import DeclarationError, Whole, names_of
 from ...declare.options import Given, Value, setting_options
 from ...live.live_setting import LiveSetting
 from ...person.settings import Setting
@@ -93,9 +93,13 @@ def plan_of(team: LiveOptions) -> ServedTeam:
         given.refuse(RATES, 'without trust = "paper"')
     if chosen.fleet.executes:
         raise click.UsageError("execute: expected a robot that suggests; one that acts itself can only be simulated")
-    with usage_errors(InputFileError):
+    try:
         catalogue(setting.language)  # reports faults in it before a page is served
-        distance = None if setting.distances is None else travel_of(chosen, humans, setting.distances).distance
+    except ValueError as error:
+        right = str(error)
+        raise click.UsageError(given.told(DeclarationError(("language",), None, right, right))) from None
+    with usage_errors(InputFileError):
+        distance = None if setting.distances is None else travel_of(chosen, humans, setting.distances, given).distance
         found = _named(find_instances(team.instances, team.domain))
         if problems and len(found) > 1:
             raise click.UsageError(

@@ -27,7 +27,7 @@ from ...declare.declared import (
 from ...learning.method import Method
 from ...live.live_setting import LiveSetting
 from ...people.ranges import OwnModel, Population
-from ...people.real_people import advice_takers
+from ...people.real_people import OF_ADVICE_TAKERS, advice_takers
 from ...person.settings import Setting
 from .common import Megabytes
 
@@ -99,6 +99,8 @@ def _real(given: Any) -> Any:
     if not isinstance(given, dict) or "theta" in given or "parts" in given:
         return _population(given)
     found = Population(**given)
+    if others := set(given) - {*OF_ADVICE_TAKERS}:
+        raise ValueError(f"{' and '.join(sorted(others))} without theta; expected theta as well")
     return advice_takers(found.beta, found.sigma, chooses=found.chooses)
 
 
@@ -108,6 +110,10 @@ REGION_STATES = 20_000
 FILE = "a file that `fit --write-population` wrote, or a table of ranges"
 PRIOR = "The robot's prior over people, as `population`; the true population unless given."
 PEOPLE = "The people: a file that `fit --write-population` wrote, or ranges of their parameters."
+
+INFLUENCE = (
+    "Unless theta is given, it is that of real people: from 0 to 1, above 0.85 for half, below 0.5 for one in nine."
+)
 
 
 @declared
@@ -174,7 +180,7 @@ class ServeSetting(LiveSetting):
         Usual("FILE"),
         Beside(),
         Expected(FILE),
-        Field(description=PEOPLE + " Influence is as wide as that of real people unless given."),
+        Field(description=f"{PEOPLE} {INFLUENCE}"),
     ] = advice_takers()
 
 

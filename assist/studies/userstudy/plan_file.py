@@ -22,9 +22,9 @@ from ...declare.catalogue import FIRST, Catalogue, catalogue
 from ...declare.declared import AnyTable, Expected, Text, Texts, Truth, Whole, declared, names_of, shown
 from ...declare.tables import convert, fault, load, located, replaced
 from ...people.ranges import Population
-from ...people.real_people import advice_takers
+from ...people.real_people import OF_ADVICE_TAKERS, advice_takers
 from ...person.settings import Setting
-from ..plan_tables import OF_ADVICE_TAKERS, among, different, own_policy, population, tasks
+from ..plan_tables import among, different, own_policy, population, tasks
 from .outcomes import OUTCOMES
 from .plan import WITHIN, Condition, UserStudy, UserStudyPlan
 from .questionnaire_file import questionnaires_of

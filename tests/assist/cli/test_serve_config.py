@@ -65,6 +65,18 @@ def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
     assert set(found["setting"]) <= set(names_of(ServeSetting))
 
 
+@pytest.mark.cases
+def test_a_field_is_not_shown_with_a_value_that_would_not_hold() -> None:
+    """The influence of people in live sessions is that of real people, not the range of simulated ones."""
+    shown = printed(ServeSetting)
+    people = shown[shown.index("# [population]") :]
+    assert "# beta = [0.1, 3.0]\n" in people
+    assert "# theta =\n" in people
+    assert "it is that of real people: from 0 to 1, above 0.85 for half, below 0.5 for one in nine.\n" in shown
+    shares = ServeSetting().population.shares  # of ten ranges of equal width, from 0 to 1
+    assert (round(sum(shares[:5]), 2), round(shares[9] + shares[8] / 2, 1)) == (0.11, 0.5)
+
+
 def test_the_file_in_the_documentation_is_read(tmp_path: Path) -> None:
     (block,) = [text for text in BLOCK.findall((ROOT / "docs/live.md").read_text()) if "log_format" in str(text)]
     (file := tmp_path / "line.toml").write_text(block if isinstance(block, str) else block[-1])
@@ -109,6 +121,11 @@ distances = "far.json"
     [
         ("humans = 'three'", {}, 'line.toml:2: humans: "three"; expected a whole number from 1 to 10000'),
         ("setting = {c_sugest = 1}", {}, "line.toml:2: setting.c_sugest: unknown; did you mean 'c_suggest'?"),
+        (
+            "setting = {population = {noise = 'action'}}",
+            {},
+            "line.toml:2: setting.population: noise without theta; expected theta as well",
+        ),
         ("setting = {population = {beta = [2, 1]}}", {}, "line.toml:2: setting.population.beta: [2, 1]; expected two"),
         ("c_suggest = 1", {}, "line.toml:2: c_suggest: unknown; expected it in the table `setting`"),
         ("gamma = 0.9", {}, "line.toml:2: gamma: unknown; expected it in the table `setting`, or a file for --setting"),

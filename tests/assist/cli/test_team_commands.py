@@ -318,6 +318,40 @@ def test_a_wrong_number_or_name_is_told_with_the_right_form(
     assert not re.search("Errno|Expecting value: line", result.stderr)
 
 
+TEAM, LIVE = "simulate kitting/tiny --humans 2", "serve kitting/tiny --humans 2 --port 0"
+SMALL = 'instances = ["kitting/tiny"]\nhumans = [1]\npool = 1\n'
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize(
+    ("command", "text", "said"),
+    [
+        (f"{TEAM} --setting", "\ngamma = \n", ":2: not TOML (column 9: Invalid value)"),
+        (f"{TEAM} --setting", "gamma = [1\n", ":1: not TOML (end of document: Unclosed array)"),
+        (f"{TEAM} --setting", "[population]\nbeta = [1, 2]\nshares = [1.0]",
+         ":3: population: 0 parts, 1 shares: expected one share for each part"),
+        (f"{TEAM} --setting", '\ndistances = "no.json"', ":2: distances: no.json: no such file"),
+        (f"{LIVE} --setting", '\nlanguage = "xx"', ":2: language: language 'xx': expected one"),
+        (f"{LIVE} --bridge", "[broker\n", ":1: not TOML (column 8: Expected ']'"),
+        ("serve --port 0 --config", "humans = 2\nhumans = 3\n", ":2: not TOML (column 11: Cannot overwrite a value)"),
+        ("serve --port 0 --study", "\ntasks = \n", ":2: not TOML (column 9: Invalid value)"),
+        ("study --out out --protocol", f"{SMALL}[setting]\nask_error = 0.1",
+         ":4: setting: ask_error 0.1 has no effect without c_ask"),
+        ("study --out out --protocol",
+         f'{SMALL}[[conditions]]\nname = "a"\nsettings = [{{gamma = 0.9}}, {{ask_error = 0.1}}]',
+         ":6: conditions[1].settings[2]: ask_error 0.1 has no effect without c_ask"),
+    ],
+)  # fmt: skip
+def test_a_fault_in_a_file_is_told_with_its_line(
+    command: str, text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.toml").write_text(text)
+    result = invoke(*command.split(), "own.toml")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert f"own.toml{said}" in " ".join(result.stderr.split())
+
+
 def test_a_bound_where_everybody_has_finished_is_zero(tmp_path: Path) -> None:
     problem = TINY.read_text()
     start = problem.index("(:goal")

@@ -328,6 +328,26 @@ SIGNS = {
 }
 
 
+@pytest.mark.cases
+def test_a_date_of_which_the_month_is_not_known_is_refused_or_told() -> None:
+    """A step is refused with the form that is read; the order of episodes is told where it may not be that of days."""
+    for step in ("01.03.2026 09:00", "3/1/2026 9:00", "1-3-26", "2026-03-01 9:00"):
+        faults = Log.of([dict(row, step=step) for row in BASE], gaps=True).faults
+        assert "or a date with a time such as 2026-03-01T09:00:00" in faults[0].message
+    for names, told_of in (
+        (("01.03.2026", "01.04.2026"), None),
+        (("28.02.2026", "01.03.2026"), "01.03.2026"),  # by name, 1 March is before 28 February
+        (("12/31/2025", "1/2/2026"), "1/2/2026"),
+        (("3/1/2026", "3/2/2026"), None),
+        (("2026-02-28", "2026-03-01"), None),
+    ):
+        note = Log.of([dict(BASE[0], episode=name) for name in names]).note
+        right = (
+            f"read episodes such as '{told_of}' in the order of these numbers, perhaps not of days; expected 2026-03-01"
+        )
+        assert note == ("" if told_of is None else right)
+
+
 @pytest.mark.parametrize("sign", SIGNS)
 def test_names_that_look_the_same_are_one_person(tmp_path: Path, sign: str) -> None:
     strange, usual, note = SIGNS[sign]

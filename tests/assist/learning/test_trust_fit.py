@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -51,6 +52,27 @@ RULES: dict[str, TrustRule] = {
     "outcome-at-disagreement": outcome_at_disagreement(0.1, 0.5, 0.4),
     "reliability": Reliability(3.0, 0.2, 2),
 }
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("paper", {}, ((),)), "make 'paper': expected the class of a rule, or a function that returns one"),
+        ((EquationSeven, {"ta": (0, 1)}, ((0.1,),)), "ranges: ta: no parameter of the rule; did you mean 'eta'?"),
+        ((EquationSeven, {"eta": (1, 0)}, ((0.1,),)), "ranges: eta (1, 0): expected two numbers, low < high"),
+        ((EquationSeven, {"eta": 1}, ((0.1,),)), "ranges: eta 1: expected two numbers, [low, high]"),
+        ((EquationSeven, {"eta": (0, 1)}, (0.1, 0.3)), "tried[1]: 0.1: expected a list of numbers"),
+        ((EquationSeven, {"eta": (0, 1)}, ()), "tried: (): expected a tuple of tuples, each with a value for each"),
+        ((EquationSeven, {"eta": (0, 1)}, ((0.1,), (0.1, 2))), "tried[2] (0.1, 2): expected values of eta, as many"),
+        ((EquationSeven, {"eta": (0, 1)}, ((2,),)), "tried[1] (2,): eta is outside its range, 0 to 1"),
+        ((EquationSeven, {"eta": (0, 1)}, ((0.1,),), frozenset({"et"})),
+         "logarithms: et: has no range; did you mean 'eta'?"),
+    ],
+)  # fmt: skip
+def test_a_family_of_rules_that_cannot_be_is_refused_where_it_is_made(given: tuple[Any, ...], said: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(said)):
+        RuleFamily(*given)
 
 
 @dataclass(frozen=True)

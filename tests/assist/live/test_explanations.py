@@ -667,14 +667,14 @@ def test_languages_are_files(tmp_path: Path) -> None:
     done = Explanation(nothing=WhyNothing("finished", "attention"))
     assert done.text(str(own)) == "Done."
     for wrong, message in (
-        (text.replace('paused = "Suggestions are paused."', ""), "there is no text nothing.paused"),
-        (text + 'more = "..."', "unknown text refusals.more"),
+        (text.replace('paused = "Suggestions are paused."', ""), "nothing.paused: is missing; expected a text"),
+        (text + 'more = "..."', "refusals.more: unknown; expected no text"),
         (text.replace("{left}, and", "{rest}, and"), "person.nobody_else: {rest}; expected left"),
-        ("a = ", "own"),
+        ("a = ", ".toml:1: not TOML (end of document: Invalid value)"),
     ):
         file = tmp_path / f"own-{len(message)}.toml"
         file.write_text(wrong)
-        with pytest.raises(ValueError, match=r"\.toml") as error:
+        with pytest.raises(ValueError, match=r"\.toml:[1-9]\d*: ") as error:
             done.text(str(file))
         assert message in str(error.value)
     with pytest.raises(ValueError, match="language 'fr': expected one of en, de"):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import costly, kit
+from conftest import ROOT, costly, kit
 from hypothesis import given
 from hypothesis import strategies as st
 from test_uncertain_actions import NOISY
@@ -23,6 +23,7 @@ from assist.people import Goals
 from assist.person import ObservationModel, Setting
 from assist.team.questions import GoalQuestion
 from assist.team.state import NOBODY, TeamAction, TeamState
+from planner import load, sweep_goals
 
 ASKS = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01)
 BOTH = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01, observation=ObservationModel(0.05, 0.1))
@@ -70,6 +71,22 @@ def test_who_has_said_what_their_goal_is_is_known_as_if_it_had_been_known_before
         for one in (team, known):
             one.observe("ann", action)
         np.testing.assert_allclose(team.person("ann").belief, known.person("ann").belief, rtol=0, atol=1e-12)
+
+
+@pytest.mark.cases
+def test_a_goal_that_is_certain_is_told_with_100_percent() -> None:
+    """Sums of rounded probabilities, a little below or above 1, were told as 99 % or as 1.0000000000000002."""
+    names = ("travel", "mend", "mount")
+    tables = sweep_goals([load(ROOT / f"docs/examples/kits/{name}.pddl") for name in names])
+    goals = Goals(dict(zip(names, tables, strict=True)), {"travel": 1.0, "mend": 0.0, "mount": 0.0})
+    team = Assistant(goals, ["ann"], setting=Setting(c_suggest=0.01, c_move=0.01))
+    said = 0
+    while (action := team.recommend().suggestion) is not None:
+        assert team.person("ann").goals == {"travel": 1.0, "mend": 0.0, "mount": 0.0}
+        assert "your goal is travel (100 % likely)" in team.explain("ann").text()
+        team.observe("ann", action)
+        said += 1
+    assert said == 6
 
 
 @pytest.mark.parametrize("name", ["tiny", "sealed"])
