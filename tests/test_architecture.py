@@ -337,6 +337,7 @@ print(tuple(desk.people))
 """
 
 
+@pytest.mark.slow
 def test_a_plain_installation_is_enough_for_commands_that_need_no_extra(tmp_path: Path) -> None:
     script = PLAIN.replace("TRACE", str(tmp_path / "trace.jsonl"))
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, cwd=ROOT)
@@ -359,37 +360,38 @@ def test_import_direction() -> None:
 @pytest.mark.parametrize(
     ("module", "line"),
     [
-        ("planner.grounding.task", "from ..costtogo.table import Table"),
         ("planner.pddl.instances", "import assist.people.human"),
-        ("assist.people.human", "from ..team.episodes import Episode"),
         ("assist.person.pomdp", "from planner import load"),
         ("assist.person.qmdp", "from planner.pddl.validation import validate"),
-        ("assist.studies.runner", "from planner import sweep"),
-        ("assist.team.simulate", "from ..studies.study import Study"),
-        ("assist.learning.person_estimate", "from ..cli import main"),
         ("assist.drawing.plots.episode", "from ...cli.terminal.console import fail"),
-        ("assist.cli.terminal.console", "from ..options.task import one_instance"),
         ("assist.cli.solve", "from .fit import fit"),
         ("assist.cli.options.person", "from .. import policy"),
         ("assist.cli.options.person", "from ... import cli"),
-        ("assist.team.priority", "from .pool import Pool"),
-        ("assist.studies.runner", "from .reports import write_report"),
-        ("assist.live.session", "from ..web.client import Client"),
-        ("assist.certify.information_relaxation.belief_nodes", "from ..prices import Group"),
     ],
 )
 def test_a_wrong_import_is_found(module: str, line: str) -> None:
     assert faults(module, line)
 
 
-def test_what_answers_over_http_is_in_one_room() -> None:
+HTTP = ("assist.web", "assist.connect.bridges")
+WITHIN = dict.fromkeys(("fastapi", "starlette", "uvicorn", "websockets", "asyncio"), HTTP)
+"""The rooms that import a library, wherever in a file they do. Everything else works without it."""
+BEGIN = {
+    **dict.fromkeys(("httpx2", "aiomqtt", "asyncua", "jinja2"), HTTP),
+    "matplotlib": ("assist.drawing.plots",),
+    "unified_planning": ("planner.engine",),
+    "pandas": (),
+}
+"""The rooms whose files begin with the import of a library; others import it where it is used."""
+
+
+def test_libraries_of_extras_are_imported_in_their_rooms() -> None:
     """Everything but the bridges works without the extra `web`, and without an event loop."""
-    libraries = ("fastapi", "starlette", "uvicorn", "websockets", "asyncio")
-    taken = {
-        module
+    taken = [
+        (module, name, (WITHIN if indent else WITHIN | BEGIN)[name])
         for module, file in modules().items()
-        for name in re.findall(r"^\s*(?:from|import) ([\w.]+)", file.read_text(), re.MULTILINE)
-        if name.partition(".")[0] in libraries
-    }
-    rooms = ("assist.web", "assist.connect.bridges")
-    assert {module for module in taken if not any(within(module, room) for room in rooms)} == set()
+        for indent, name in re.findall(r"^( *)(?:from|import) (\w+)", file.read_text(), re.MULTILINE)
+        if name in (WITHIN if indent else WITHIN | BEGIN)
+    ]
+    assert {"fastapi", "asyncio", "matplotlib", "unified_planning"} <= {name for _, name, _ in taken}
+    assert [one for one in taken if not any(within(one[0], room) for room in one[2])] == []
