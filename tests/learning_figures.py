@@ -165,8 +165,10 @@ def of_goals(count: int) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield "goals, inferred", posteriors
 
 
-def of_rules(table: Table, count: int, suggestions: int, kinds: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
-    """Yield figures of people whose influence moves."""
+def of_rules(
+    table: Table, count: int, suggestions: int, kinds: tuple[str, ...], compared: tuple[str, ...] | None
+) -> Iterator[tuple[str, Any]]:
+    """Yield figures of people whose influence moves: fitted by some rules, and compared by some, or by all."""
     rng = np.random.default_rng(3)
     them = People(np.exp(rng.normal(0, 0.4, count)), 1 / (1 + np.exp(-rng.normal(0.5, 1.2, count))))
     rows = record_with_trust(table, them, outcome(0.3, 0.5), suggestions=suggestions, rng=rng)
@@ -176,7 +178,7 @@ def of_rules(table: Table, count: int, suggestions: int, kinds: tuple[str, ...])
     own = outcome_at_disagreement(0.1, 0.3, 0.4)
     yield "influence, own rule, by episode", lambda: influences(fit_influence(seen, own, carry=False))
     yield "influence, constant, by episode", lambda: influences(fit_influence(seen, constant(), carry=False))
-    yield "rules", lambda: comparison(compare_rules(seen, folds=2))
+    yield "rules", lambda: comparison(compare_rules(seen, rules=compared, folds=2))
 
 
 def of_advice(log: Any, folds: int, rules: dict[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -198,7 +200,8 @@ def figures(large: bool) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield from of_acting(table, 40 if large else 5)
     yield from of_goals(6 if large else 2)
     every = ("constant", "paper", "outcome", "outcome-at-disagreement", "reliability")
-    yield from of_rules(table, *((25, 60, every) if large else (5, 8, ("paper", "reliability"))))
+    few_rules = ("paper", "reliability"), ("constant", "outcome")
+    yield from of_rules(table, *((25, 60, every, None) if large else (5, 8, *few_rules)))
 
     few = {name: COMPARED[name] for name in ("constant", "outcome", "base rates")}
     log = simulated(24, 25, 2, steps=0.5) if large else simulated(10, 8, 2, steps=0.5)

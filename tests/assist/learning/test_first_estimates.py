@@ -20,7 +20,7 @@ from assist.learning.maximum_likelihood import maximum_likelihood
 from assist.people import Choices, boltzmann
 
 PAPER = kit("paper")
-ROWS = people_at_work(Choices.of(PAPER), [0.4, 1.2, 2.5], np.random.default_rng(7), suggest=0.4)
+ROWS = people_at_work(Choices.of(PAPER), [0.4, 2.5], np.random.default_rng(7), suggest=0.4)
 
 
 def people(kind: str) -> tuple[list[Observations], Method]:

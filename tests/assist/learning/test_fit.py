@@ -11,16 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
-from conftest import KITTING, kit
-from hypothesis import given, settings
+from conftest import KITTING, costly, invoke, kit
+from hypothesis import given
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, observed, people_at_work, write_log
 from scipy.stats import kstest
 
 from assist import Pool, fit, simulate
-from assist.cli import main
-from assist.learning import Log, misconception_fit
+from assist.learning import FittedPeople, Log, misconception_fit
 from assist.learning.diagnostics import calibrate, check
 from assist.learning.distribution import mixture
 from assist.learning.likelihood import Method, largest_beta
@@ -120,8 +118,8 @@ def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations], 
             assert estimate.interval[0] <= estimate.value <= estimate.interval[1]
 
 
+@costly(4, 40)
 @given(st.integers(0, 10_000), st.floats(0.1, 3.0))
-@settings(max_examples=8, deadline=None)
 def test_laws_of_estimates(seed: int, beta: float) -> None:
     rows = people_at_work(TINY_CHOICES, [beta], np.random.default_rng(seed), suggest=0.3, episodes=2)
     (found,) = maximum_likelihood(observed(TINY, rows), Method(eta=0.2))
@@ -282,8 +280,8 @@ def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -
     assert value == pytest.approx(np.log(chance), abs=0.03)
 
 
+@costly(2, 20)
 @given(st.integers(0, 10_000))
-@settings(max_examples=4, deadline=None)
 def test_the_marginal_likelihood_is_laplaces_with_the_whole_matrix(seed: int) -> None:
     """The mode is where the gradient is 0, and the determinant that of the matrix of second derivatives."""
     rng = np.random.default_rng(seed)
@@ -310,7 +308,7 @@ def test_misconceptions_that_take_too_much_memory_are_refused(tmp_path: Path, mo
     monkeypatch.setattr(Uncertain, "megabytes", 1e9)
     monkeypatch.setattr(misconception_fit.MarginalLikelihood, "__init__", lambda *_: pytest.fail("it was taken"))
     file = write_log(tmp_path / "log.jsonl", lines(*PLAN))
-    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file), "--misconception"])
+    result = invoke("fit", "kitting/tiny", file, "--misconception")
     assert (result.exit_code, result.stdout) == (1, "")
     assert result.stderr.splitlines()[-1].startswith("out of memory: person 'ann': misconceptions about 8 states take")
 
@@ -390,14 +388,10 @@ def test_the_online_belief_with_suggestions(tiny: Table, tiny_choices: Choices) 
 def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) -> None:
     trace = tmp_path / "trace.jsonl"
     tiny = KITTING / "tiny.pddl"
-
-    def run(*arguments: object) -> Result:
-        return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
     team = ("simulate", tiny, "--humans", 3, "--episodes", 10, "--pool", 4, "--policy", "reactive")
-    assert run(*team, "--trace", trace).exit_code == 0
+    assert invoke(*team, "--trace", trace).exit_code == 0
     files = {name: tmp_path / name for name in ("people.jsonl", "population.json", "figures")}
-    result = run(
+    result = invoke(
         "fit", tiny, trace, "--out", files["people.jsonl"], "--write-population", files["population.json"],
         "--figures", files["figures"], "--misconception",
     )  # fmt: skip
@@ -416,17 +410,17 @@ def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) 
         "calibration.png", "episodes.png", "errors.png", "expertise.png",
     ]  # fmt: skip
     assert "population of 4: beta is" in result.stdout
-    again = run(*team, "--population", files["population.json"], "--json")
+    again = invoke(*team, "--population", files["population.json"], "--json")
     assert again.exit_code == 0
     assert json.loads(again.stdout)["population"]["parts"]
-    other = run(*team, "--population", trace)
+    other = invoke(*team, "--population", trace)
     assert other.exit_code == 2
     assert f"{trace}" in other.stderr
 
 
 def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write_log(tmp_path / "log.jsonl", [*lines(*PLAN), *lines(FETCH, person="bob")])
-    command = ["fit", str(KITTING / "tiny.pddl"), str(file), "--json", "--set", "max_states=1", "--jobs", "1"]
+    command = ("fit", "kitting/tiny", file, "--json", "--set", "max_states=1", "--jobs", 1)
     astar = on_demand.astar
 
     def slow(task: Task, values: tuple[int, ...], **rest: Any) -> Any:
@@ -435,7 +429,7 @@ def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, mon
         return astar(task, values, **rest)
 
     monkeypatch.setattr(on_demand, "astar", slow)
-    result = CliRunner().invoke(main, [*command, "--set", f"cache={tmp_path / 'first'}"])
+    result = invoke(*command, "--set", f"cache={tmp_path / 'first'}")
     assert result.exit_code == 1
     assert "out of time; actions that depend on them are left out" in result.stderr
     ann, bob = json.loads(result.stdout)
@@ -443,14 +437,14 @@ def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, mon
     assert ann["actions"] + ann["left_out"] == len(PLAN)
     assert ann["notes"][0] == f"{ann['left_out']} actions are left out, since states were not evaluated in time"
     assert (bob["actions"], bob["left_out"]) == (1, 0)
-    strict = CliRunner().invoke(main, [*command, "--set", f"cache={tmp_path / 'second'}", "--strict"])
+    strict = invoke(*command, "--set", f"cache={tmp_path / 'second'}", "--strict")
     assert (strict.exit_code, strict.stdout) == (1, "")
     assert "out of time" in strict.stderr
 
 
 def test_a_task_without_a_way_to_the_goal(tmp_path: Path) -> None:
     file = write_log(tmp_path / "log.jsonl", lines(*PLAN))
-    result = CliRunner().invoke(main, ["fit", str(KITTING / "unsolvable.pddl"), str(file)])
+    result = invoke("fit", "kitting/unsolvable", file)
     assert (result.exit_code, result.stdout) == (1, "")
     assert "unsolvable.pddl: the goal is unreachable or holds in the initial state" in result.stderr
 
@@ -461,35 +455,37 @@ def test_what_is_no_population_is_refused(bad: object) -> None:
         mixture(bad)  # type: ignore[arg-type]
 
 
-def test_fitted_people_are_at_work_in_a_simulation(tiny: Table) -> None:
+def two_people(told: str | None) -> Log:
+    """Return a log of two people who do the same; one of them hears a suggestion, or nobody."""
+    actions = (FETCH, WRONG, "(remove hammer slot-2 box-a)", RIGHT, BACK)
+    return Log.of([*lines(*actions, told={1: told}), *lines(*actions, person="ben")])
+
+
+@pytest.fixture(scope="module")
+def of_two(tiny: Table) -> FittedPeople:
+    return fit(tiny, two_people(RIGHT), method=Method(eta=0.05, utility_scale=2.0))
+
+
+def test_fitted_people_are_at_work_in_a_simulation(tiny: Table, of_two: FittedPeople) -> None:
     """Under their names, with their own estimates; what somebody's actions do not say is the population's mean."""
-    actions = ["fetch box-a", "place hammer slot-2", "remove hammer slot-2", "place hammer slot-1", "return box-a"]
-    rows = [{"person": who, "episode": "1", "step": n, "action": a} for who in ("ann", "ben")
-            for n, a in enumerate(actions)]  # fmt: skip
-    alone = fit(tiny, Log.of(rows))
+    alone = fit(tiny, two_people(None))
     with pytest.raises(ValueError, match=re.escape("or humans(theta=0.8)")):
         alone.humans()
     assert [one.theta for one in alone.humans(theta=0.6)] == [0.6, 0.6]
-    rows[1]["suggestion"] = "place hammer slot-1"
-    found = fit(tiny, Log.of(rows))
-    pool = Pool.of(tiny, found)
+    pool = Pool.of(tiny, of_two)
     assert pool.names == ("ann", "ben")
     ann, ben = pool.people
-    assert (ann.beta, ann.theta) == (found["ann"].beta, found["ann"].theta)
-    assert ben.theta == found.distribution().theta.mean  # type: ignore[union-attr]
+    assert (ann.beta, ann.theta) == (of_two["ann"].beta, of_two["ann"].theta)
+    assert ben.theta == of_two.distribution().theta.mean  # type: ignore[union-attr]
     assert simulate(pool, "attention", humans=["ben", "ann"], episodes=2, seed=0)[0].people == ("ben", "ann")
 
 
-def test_fitted_people_are_simulated_with_their_rate_of_trust(tiny: Table) -> None:
+def test_fitted_people_are_simulated_with_their_rate_of_trust(tiny: Table, of_two: FittedPeople) -> None:
     """Unless the setting has a rule or a rate of its own."""
-    trace: list[Any] = []
-    pool = Pool.sample(tiny, 2, seed=5, setting=Setting(eta=0.0, c_suggest=0.1))
-    simulate(pool, "reactive", humans=2, episodes=5, seed=0, trace=trace)
-    found = fit(tiny, trace, method=Method(eta=0.05, utility_scale=2.0))
-    setting = Pool.of(tiny, found, setting=Setting(c_suggest=0.3)).setting
+    setting = Pool.of(tiny, of_two, setting=Setting(c_suggest=0.3)).setting
     assert (setting.c_suggest, setting.eta, setting.utility_scale) == (0.3, 0.05, 2.0)
     for own in (Setting(eta=0.4), Setting(trust="constant")):
-        assert Pool.of(tiny, found, setting=own).setting == own
+        assert Pool.of(tiny, of_two, setting=own).setting == own
 
 
 def test_what_a_log_may_be_asked_is_checked(tiny: Table) -> None:
@@ -526,7 +522,11 @@ def ten_actions(instance: str, people: int, suggest: float, seed: int) -> list[O
 
 @pytest.mark.parametrize(
     ("instance", "suggest", "seed", "eta"),
-    [("tiny", 1.0, 0, None), ("tiny", 0.5, 5, None), ("paper", 0.5, 0, None), ("paper", 1.0, 3, 0.2)],
+    [
+        ("tiny", 1.0, 0, None),
+        ("paper", 1.0, 3, 0.2),
+        *(pytest.param(*case, None, marks=pytest.mark.slow) for case in (("tiny", 0.5, 5), ("paper", 0.5, 0))),
+    ],
 )
 def test_nothing_on_a_grid_is_likelier_or_left_out(instance: str, suggest: float, seed: int, eta: float | None) -> None:
     team, method = ten_actions(instance, 3, suggest, seed), Method(eta=eta)

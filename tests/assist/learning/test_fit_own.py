@@ -17,7 +17,7 @@ from assist.people import Choices, boltzmann, perceived_value
 from planner import OnDemand
 
 PAPER = kit("paper")
-ROWS = people_at_work(Choices.of(PAPER), [0.4, 1.2, 2.5], np.random.default_rng(7), suggest=0.4)
+ROWS = people_at_work(Choices.of(PAPER), [0.8], np.random.default_rng(7), suggest=0.4)
 
 
 def same(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
@@ -85,7 +85,7 @@ class Doubled:
 
 @pytest.mark.slow
 def test_trust_looks_at_the_models_own_value() -> None:
-    gains = [fit(PAPER, Log.of(ROWS), model=model)["p1"].observations.gain for model in (same, Doubled())]
+    gains = [fit(PAPER, Log.of(ROWS), model=model)["p0"].observations.gain for model in (same, Doubled())]
     np.testing.assert_allclose(gains[1], 2 * gains[0])
     assert np.any(gains[0] != 0)
 
@@ -98,7 +98,7 @@ def test_people_like_them_choose_so_too(plain: FittedPeople) -> None:
 
 
 def test_a_task_solved_on_demand_gives_the_estimates_of_its_table() -> None:
-    log = Log.of([row for row in ROWS if row["person"] == "p1" and row["episode"] == "0"])
+    log = Log.of([row for row in ROWS if row["episode"] == "0"])
     whole, asked = (fit(task, log, model=Doubled()) for task in (PAPER, OnDemand(PAPER.task)))
     for person, one in whole.items():
         other = asked[person]
@@ -124,7 +124,7 @@ def broken(choices, q, beta):
 
 
 def test_fit_takes_a_function_of_the_users_own(tmp_path: Path) -> None:
-    rows = [row for row in ROWS if row["person"] == "p1" and row["episode"] == "0"]
+    rows = [row for row in ROWS if row["episode"] == "0"]
     log, mine = write_log(tmp_path / "log.jsonl", rows), tmp_path / "mine.py"
     mine.write_text(MINE)
     people = fit(PAPER, Log.of(rows), model=short_sighted)

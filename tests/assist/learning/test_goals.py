@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import DOMAINS, KITTING, ROOT, invoke
-from hypothesis import given, settings
+from conftest import DOMAINS, KITTING, ROOT, costly, invoke
+from hypothesis import given
 from hypothesis import strategies as st
 from test_unknown_goals import three_goals
 
@@ -83,7 +83,7 @@ def by_enumeration(goals: dict[str, Table], episodes: list[list[int]]) -> list[l
 
 
 @pytest.mark.parametrize("name", TABLES)
-@settings(max_examples=8, deadline=None)
+@costly(4, 40)
 @given(seed=st.integers(0, 2**31), lengths=st.lists(st.integers(1, 4), min_size=2, max_size=3))
 def test_the_posterior_is_that_of_enumerated_histories(name: str, seed: int, lengths: list[int]) -> None:
     goals, rng = TABLES[name], np.random.default_rng(seed)

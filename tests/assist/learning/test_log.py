@@ -9,13 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from conftest import KITTING, invoke, kit
-from hypothesis import given, settings
+from conftest import invoke, kit
+from hypothesis import given
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of, write_log
 
-from assist.cli import main
 from assist.learning import EvaluatedStates, Log, Method, fit_influence, observe, read_log, replayed
 from assist.learning.log import told
 from assist.learning.maximum_likelihood import maximum_likelihood
@@ -59,7 +57,6 @@ def test_a_broken_line_costs_its_episode_and_no_other(tmp_path: Path, line: int,
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
 def test_no_broken_line_makes_a_mistake(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     """Whichever lines of a log are cut, joined, lost or damaged, people who follow the plan never appear to err."""
     rows = [row for k in range(3) for row in lines(*PAPER_PLAN, person=f"p{k % 2}", episode=str(k))]
@@ -296,7 +293,6 @@ WHOLE = "".join(f"{line}\n" for line in text_of([*lines(FETCH, RIGHT, told={1: W
 
 
 @given(st.sampled_from([WHOLE, CSV]), st.data())
-@settings(max_examples=60, deadline=None)
 def test_whatever_a_file_has_is_read_or_a_fault(
     tmp_path_factory: pytest.TempPathFactory, tiny: Table, text: str, data: st.DataObject
 ) -> None:
@@ -424,8 +420,8 @@ def test_the_log_of_another_task_is_told_in_a_few_lines(tiny: Table) -> None:
 def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
     bad, line, message = MALFORMED[0]
     file = write_log(tmp_path / "log.jsonl", [*GOOD, *bad], tail='{"person": "bob", "epi')
-    command = ["fit", str(KITTING / "tiny.pddl"), str(file), "--json"]
-    result = CliRunner().invoke(main, command)
+    command = ("fit", "kitting/tiny", file, "--json")
+    result = invoke(*command)
     assert result.exit_code == 1
     cut = f"{file}:9: the last line is cut off; the lines before it are used"
     lost = f"{file}: 1 of 2 episodes are used; left out are ann 1 of 1, which are no random choice, so that "
@@ -436,7 +432,7 @@ def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
     assert (bob["person"], bob["actions"], bob["suboptimal_actions"], bob["error"]) == ("bob", 6, 0, None)
     assert bob["beta_open"] == ["above"]
     assert "made no mistake: beta is at least" in bob["notes"][0]
-    strict = CliRunner().invoke(main, [*command, "--strict"])
+    strict = invoke(*command, "--strict")
     assert (strict.exit_code, strict.stdout) == (1, "")
     assert strict.stderr.splitlines()[-1] == f"{file}: nothing is estimated, because of --strict"
 
@@ -446,7 +442,7 @@ def test_episodes_that_a_suggestion_costs_are_counted(tmp_path: Path) -> None:
     """They are those with mistakes; without the column of suggestions, they can be used."""
     wrong = [row | {"person": "ann", "suggestion": "(fetch box-c)"} for row in GOOD]
     file = write_log(tmp_path / "log.jsonl", [*GOOD, *wrong])
-    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file)])
+    result = invoke("fit", "kitting/tiny", file)
     assert "step 0: suggestion (fetch box-c) is no action of the task" in result.stderr
     said = result.stderr.splitlines()[-1]
     assert "1 of 2 episodes are used; left out are ann 1 of 1, which are no random choice" in said

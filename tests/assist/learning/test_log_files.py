@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from conftest import invoke, write_instance
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of
 from test_log import PLAN, text_of, used
@@ -30,7 +30,6 @@ WHOLE_STEPS = "as whole numbers"
 DIALECTS = {
     "large steps of R": (HEAD + re.sub(r"1,(\d),", r"1,1e+05,", ROWS.splitlines()[0]) + "\n", "'1e+05'"),
     "missing as blanks": (HEAD + ROWS.replace(",\n", ",  \n"), ""),
-    "a declared separator in quotes": (('"sep=;"\n' + HEAD + ROWS).replace(",", ";"), ""),
     "blanks after separators": ((HEAD + ROWS).replace(",", ", "), ""),
     **{f"blanks around {name}": ((HEAD + ROWS).replace(",", f" {sign} "), "")
        for name, sign in {"commas": ",", "semicolons": ";", "bars": "|", "tabs": "\t"}.items()},
@@ -71,11 +70,10 @@ DIALECTS = {
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-@pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["plain", "marked"])
-def test_tables_are_read_as_programs_write_them(tmp_path: Path, dialect: str, mark: str) -> None:
+def test_tables_are_read_as_programs_write_them(tmp_path: Path, dialect: str) -> None:
     text, note = DIALECTS[dialect]
     file = tmp_path / "log.csv"
-    file.write_bytes((mark + text).encode())
+    file.write_bytes(text.encode())
     log = read_log(file)
     assert log.faults == ()
     wanted = [words_of(text) for row in BASE for text in (row["action"], row["suggestion"]) if text]
@@ -159,7 +157,6 @@ def test_what_was_taken_for_what_is_said_once(tmp_path: Path) -> None:
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
 def test_tables_of_any_dialect_are_read_back(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     names = st.text(st.characters(blacklist_categories=("Cc", "Cs", "Z")), min_size=1, max_size=5).filter(
         lambda name: plain(name) == name and name not in MISSING | DASHES and not name.startswith(("#", "{", "["))
