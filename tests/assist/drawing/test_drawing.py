@@ -11,11 +11,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from click.testing import CliRunner
-from conftest import DOMAINS, KITTING, ROOT, thinned
+from conftest import DOMAINS, KITTING, ROOT, invoke, thinned
 from PIL import Image
 
-from assist.cli import main
 from assist.declare import catalogue
 from assist.drawing import Artist, Profile, draw, draw_frames, draw_strip, episode_frames, plan_frames, read_state
 from assist.drawing.files import page
@@ -34,6 +32,13 @@ INSTANCES = [
 @cache
 def artist(name: str) -> Artist:
     return Artist(load(DOMAINS / f"{name}.pddl"))
+
+
+def copied(folder: Path) -> Path:
+    """Copy a kit and its domain to a folder, where it has no look; return the file of the kit."""
+    for file in ("domain.pddl", "tiny.pddl"):
+        shutil.copy(KITTING / file, folder)
+    return folder / "tiny.pddl"
 
 
 def objects_in(svg: str) -> list[str]:
@@ -214,17 +219,15 @@ GERMAN = (KITTING / "drawing.toml").read_text(encoding="utf-8")
 def test_faulty_texts_of_a_language_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in GERMAN
     (tmp_path / "drawing.toml").write_text(GERMAN.replace(old, new, 1), encoding="utf-8")
-    shutil.copy(KITTING / "domain.pddl", tmp_path)
-    shutil.copy(KITTING / "tiny.pddl", tmp_path)
+    tiny = copied(tmp_path)
     with pytest.raises(InputFileError, match=re.escape(said)) as error:
-        Artist(load(tmp_path / "tiny.pddl"))  # even where nobody asks for the language
+        Artist(load(tiny))  # even where nobody asks for the language
     assert "drawing.toml" in str(error.value)
 
 
 def test_a_drawing_without_the_language_stays_in_its_own(tmp_path: Path) -> None:
     """All its texts then have one language, which is named."""
-    shutil.copy(KITTING / "domain.pddl", tmp_path)
-    shutil.copy(KITTING / "tiny.pddl", tmp_path)
+    tiny = copied(tmp_path)
     english, german = GERMAN.split("[texts.de]")[0], GERMAN
     french = tmp_path / "fr-CA.toml"
     shutil.copy(catalogue("en").file, french)
@@ -236,7 +239,7 @@ def test_a_drawing_without_the_language_stays_in_its_own(tmp_path: Path) -> None
         ("", "de", "de", "Ziel: "),  # there is nothing to translate
     ):
         (tmp_path / "drawing.toml").write_text(content, encoding="utf-8")
-        drawn = Artist(load(tmp_path / "tiny.pddl"), language=asked)
+        drawn = Artist(load(tiny), language=asked)
         assert (drawn.profile.language, heading in drawn.draw().text) == (language, True)
 
 
@@ -282,17 +285,15 @@ def test_tasks_with_derived_facts_are_drawn(tmp_path: Path) -> None:
 
 
 def test_tasks_whose_files_are_gone_are_drawn(tmp_path: Path) -> None:
-    for file in ("domain.pddl", "tiny.pddl"):
-        shutil.copy(KITTING / file, tmp_path)
-    task = load(tmp_path / "tiny.pddl")
+    tiny = copied(tmp_path)
+    task = load(tiny)
     shutil.rmtree(tmp_path)
     assert {"box-a", "hammer", "slot-1"} <= set(objects_in(draw(task).svg))
 
 
 def test_a_wrong_drawing_toml_is_said_in_one_line(tmp_path: Path) -> None:
-    for file in ("domain.pddl", "tiny.pddl"):
-        shutil.copy(KITTING / file, tmp_path)
-    task = load(tmp_path / "tiny.pddl")
+    tiny = copied(tmp_path)
+    task = load(tiny)
     for text, words in {
         "[places]\nin-slot = 'somewhere'": "places.in-slot: \"somewhere\"; expected something like '?1 in ?2'",
         "[places]\nin-slot = '?1 in kit'": "'kit' is not among [things]",
@@ -312,7 +313,7 @@ def test_a_wrong_drawing_toml_is_said_in_one_line(tmp_path: Path) -> None:
         (tmp_path / "drawing.toml").write_text(text)
         with pytest.raises(InputFileError, match=re.escape(words)):
             Profile.of(Subject.of(task))
-    result = CliRunner().invoke(main, ["draw", str(tmp_path / "tiny.pddl"), "--out", str(tmp_path / "a.svg")])
+    result = invoke("draw", tiny, "--out", tmp_path / "a.svg")
     assert (result.exit_code, result.output.count("\n")) == (1, 1)
     assert not (tmp_path / "a.svg").exists()
 
@@ -320,9 +321,8 @@ def test_a_wrong_drawing_toml_is_said_in_one_line(tmp_path: Path) -> None:
 @pytest.mark.cases
 def test_names_that_the_domain_does_not_have_are_told(tmp_path: Path) -> None:
     """What is misspelt would be left out of pictures without a word."""
-    for file in ("domain.pddl", "tiny.pddl"):
-        shutil.copy(KITTING / file, tmp_path)
-    subject = Subject.of(load(tmp_path / "tiny.pddl"))
+    tiny = copied(tmp_path)
+    subject = Subject.of(load(tiny))
     for text, words in {
         "[words]\nfetsh = 'Fetch ?c'": ":2: words.fetsh: there is no action 'fetsh'; did you mean 'fetch'?",
         "[words]\nplace = 'Put ?x away'": "words.place: there is no parameter '?x'; expected one of ?i, ?s, ?c",
@@ -387,7 +387,7 @@ def test_an_episode_in_which_the_robot_acts_itself_is_drawn(tmp_path: Path) -> N
         "--set c_execute=0.01 --c-suggest 5 "
         f"--trace {trace}"
     )
-    assert CliRunner().invoke(main, arguments.split()).exit_code == 0
+    assert invoke(*arguments.split()).exit_code == 0
     trace_rows = [json.loads(line) for line in trace.read_text().splitlines()]
     executed = {(row["episode"], row["person"], row["step"]): row for row in trace_rows if row["executed"]}
     assert executed
@@ -423,15 +423,14 @@ def test_rows_without_a_step_of_their_own_are_not_drawn(change: dict, words: str
 def test_draw_writes_every_format(tmp_path: Path) -> None:
     (tmp_path / "a.plan").write_text("\n".join([*PLAN, "; cost = 6"]))
     (tmp_path / "t.jsonl").write_text("".join(json.dumps(row) + "\n" for row in TRACE))
-    run = CliRunner().invoke
-    command = ["draw", str(KITTING / "tiny.pddl"), "--json", "--out"]
+    command = ("draw", "kitting/tiny", "--json", "--out")
     for ending in ("svg", "png", "gif", "html"):
-        result = run(main, [*command, str(tmp_path / f"a.{ending}"), "--plan", str(tmp_path / "a.plan")])
+        result = invoke(*command, tmp_path / f"a.{ending}", "--plan", tmp_path / "a.plan")
         assert json.loads(result.stdout)["frames"] == len(PLAN) + 1, result.output
     with Image.open(tmp_path / "a.gif") as film, Image.open(tmp_path / "a.png") as strip:
         assert film.n_frames == len(PLAN) + 1  # type: ignore[attr-defined]
         assert len(strip.convert("L").getcolors(2**16) or ()) > 50  # not an empty sheet: letters have soft edges
-    result = run(main, [*command, str(tmp_path / "e.svg"), "--log", str(tmp_path / "t.jsonl"), "--episode", "two"])
+    result = invoke(*command, tmp_path / "e.svg", "--log", tmp_path / "t.jsonl", "--episode", "two")
     assert (json.loads(result.stdout)["people"], json.loads(result.stdout)["frames"]) == (1, 2)
 
 
@@ -456,7 +455,7 @@ def test_what_draw_refuses(
     Path("bad.plan").write_text("(place hammer slot-1 box-a)\n")
     Path("empty.plan").touch()
     Path("t.jsonl").write_text("".join(json.dumps(row) + "\n" for row in TRACE))
-    result = CliRunner().invoke(main, ["draw", str(KITTING / "tiny.pddl"), *options])
+    result = invoke("draw", "kitting/tiny", *options)
     assert (result.exit_code, words in result.output) == (code, True), result.output
     assert not Path("a.svg").exists()
 
@@ -464,7 +463,7 @@ def test_what_draw_refuses(
 def test_png_without_its_extra_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "resvg_py", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    result = CliRunner().invoke(main, ["draw", str(KITTING / "tiny.pddl"), "--out", str(tmp_path / "a.png")])
+    result = invoke("draw", "kitting/tiny", "--out", tmp_path / "a.png")
     assert result.exit_code == 1
     assert "[plots]" in result.output
 

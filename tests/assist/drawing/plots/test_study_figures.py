@@ -374,7 +374,7 @@ def test_legends_fit(figure: str, team_sizes: pd.DataFrame, categories: pd.DataF
 @pytest.mark.parametrize("kinds", thinned([9, 4, 2], 3))
 def test_names_of_kinds_do_not_cover_each_other(categories: pd.DataFrame, kinds: int) -> None:
     names = [f"people of a kind with a long name, number {n}" for n in range(kinds)]
-    own = categories[categories["category"] == CATEGORIES[0]]
+    own = where(categories, category=CATEGORIES[0], instance="paper")
     figure = study_figures.category_figure(pd.concat([own.assign(category=name) for name in names]), names)
     figure.draw_without_rendering()
     for axis in figure.axes[-2:]:
@@ -390,17 +390,15 @@ def test_intervals_of_few_pools_do_not_squeeze_the_rest(costs: pd.DataFrame, tea
     assert axis.get_xlim()[1] < 15
     assert axis.get_ylim()[0] >= 10
     assert axis.get_ylim()[1] < 25
-    for one in study_figures.team_size_figure(team_sizes.assign(low=-300.0, high=300.0)).axes:
+    for one in study_figures.team_size_figure(where(team_sizes, instance="paper").assign(low=-300.0, high=300.0)).axes:
         assert one.get_ylim()[0] == 0
         assert one.get_ylim()[1] < 60
 
 
 def test_a_single_episode_has_no_bars(team_sizes: pd.DataFrame, categories: pd.DataFrame) -> None:
     nothing = {"sd": None, "low": None, "high": None, "n": 1}
-    for figure in (
-        study_figures.team_size_figure(team_sizes.assign(**nothing)),
-        study_figures.category_figure(categories.assign(**nothing), CATEGORIES),
-    ):
+    sizes, kinds = (where(frame, instance="paper").assign(**nothing) for frame in (team_sizes, categories))
+    for figure in (study_figures.team_size_figure(sizes), study_figures.category_figure(kinds, CATEGORIES)):
         assert not any(isinstance(one, LineCollection) for axis in figure.axes for one in axis.collections)
         words_below = [text.get_text() for one in figure.legends for text in one.get_texts()]
         assert not any("interval" in text or "deviation" in text for text in words_below)
