@@ -9,10 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
-from conftest import KITTING, write_instance
+from conftest import KITTING, invoke, write_instance
 
-from assist.cli import main
 from planner import Instance
 from planner.batch import results_folder as results
 from planner.batch import solve_batch as batch
@@ -41,10 +39,6 @@ def kept(folder: Path, *instances: Instance, options: SolveOptions = OPTIONS) ->
 @pytest.fixture
 def instance(tmp_path: Path) -> Instance:
     return write_instance(tmp_path / "in", DOMAIN, TINY)
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.mark.parametrize(
@@ -152,7 +146,7 @@ def test_files_of_two_instances_never_get_one_name(tmp_path: Path, monkeypatch: 
 )
 def test_results_of_something_else_are_refused(content: bytes, place: str, tmp_path: Path) -> None:
     (tmp_path / "results.jsonl").write_bytes(content)
-    result = run("solve", KITTING / "tiny.pddl", "--out", tmp_path, "--resume")
+    result = invoke("solve", KITTING / "tiny.pddl", "--out", tmp_path, "--resume")
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.startswith(f"{tmp_path / 'results.jsonl'}{place}")
     assert result.stderr.count("\n") == 1

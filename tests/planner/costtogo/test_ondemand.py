@@ -35,7 +35,9 @@ def walk(task_answers: OnDemand | Table, steps: int, rng: np.random.Generator) -
     return states
 
 
-@pytest.mark.parametrize("name", ["kitting/tiny", "kitting/sealed", "delivery/round-trip", "lockers/two-lockers"])
+@pytest.mark.parametrize(
+    "name", ["kitting/sealed", "delivery/round-trip", pytest.param("lockers/two-lockers", marks=pytest.mark.slow)]
+)
 def test_answers_equal_the_tables(name: str) -> None:
     problem = DOMAINS / f"{name}.pddl"
     table = table_of(Instance(problem, problem.parent / "domain.pddl"))
@@ -221,11 +223,10 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
     limited = cost_to_go(tiny.task, max_states=10)
     assert isinstance(limited, OnDemand)
     assert limited.reason == "more than 10 states"
-    huge = load(HUGE)
-    little = cost_to_go(huge, memory_limit_mb=20)
+    middle, sweep_of = load(KITTING / "ladder-4x6.pddl"), portfolio.sweep
+    little = cost_to_go(middle, memory_limit_mb=0.3)
     assert isinstance(little, OnDemand)
     assert "memory" in (little.reason or "")
-    middle, sweep_of = load(KITTING / "ladder-4x6.pddl"), portfolio.sweep
 
     def endless(task: Task, *, stop: threading.Event, **options: Any) -> Table:
         assert stop.wait(60)
@@ -244,7 +245,7 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
         patch.setattr("planner.costtogo.portfolio.FIRST", 60)
         assert isinstance(cost_to_go(tiny.task, states=tiny.values([0, 1])), Table)
     with pytest.raises(LimitError):
-        cost_to_go(huge, deadline=time.monotonic())
+        cost_to_go(middle, deadline=time.monotonic())
 
 
 def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,18 +29,6 @@ def test_cost_to_go_equals_fast_downwards(instance: Instance) -> None:
 
 
 @pytest.mark.parametrize("instance", WITH_STATES, ids=named)
-def test_cost_to_go_is_consistent_along_every_transition(instance: Instance) -> None:
-    table = table_of(instance)
-    space, h = table.space, table.whole(np.arange(len(table)))
-    through = space.costs + h[space.transitions.targets]
-    assert (h[space.sources] <= through).all()
-    assert (h[space.goal] == 0).all()
-    best = np.full(len(space), np.inf)
-    np.minimum.at(best, space.sources, through)
-    assert (h[~space.goal] == best[~space.goal]).all()
-
-
-@pytest.mark.parametrize("instance", thinned(WITH_STATES), ids=named)
 def test_cost_to_go_equals_scipys_dijkstra(instance: Instance) -> None:
     table = table_of(instance)
     space = table.space
@@ -104,7 +92,7 @@ def arrangements(items: int, slots: int) -> int:
 
 def test_dead_ends_are_proven_by_fast_downward(sealed: Table) -> None:
     dead = np.flatnonzero(sealed.dead_end)
-    for state in np.random.default_rng(3).choice(dead, 30, replace=False):
+    for state in np.random.default_rng(3).choice(dead, 8, replace=False):
         assert astar(sealed.space.task, sealed.values([state])[0].tolist()) == (float("inf"), None)
         assert sealed.optimal_plan(int(state)) is None
 
@@ -228,7 +216,7 @@ def test_states_of_more_than_64_bits(tmp_path: Path) -> None:
     space = table.space
     assert len(space) == 16
     assert table[table.initial] == 3
-    assert verify(table, 20, np.random.default_rng(0)) == 16
+    assert verify(table, 5, np.random.default_rng(0)) == 5
     many = " ".join(f"(up {b})" for b in names[90:])
     big = problem.replace(up, many)
     with pytest.raises(LimitError):  # 2^90 states; the first words of many thousand are alike

@@ -192,8 +192,9 @@ def smaller() -> Task:
     return load(KITTING / "ladder-4x6.pddl")
 
 
-def test_the_number_of_threads_does_not_matter(kitting):
-    tables = [sweep(kitting, threads=threads) for threads in (1, 2, 5)]
+def test_the_number_of_threads_does_not_matter(smaller, monkeypatch):
+    with_blocks_of(256, monkeypatch)
+    tables = [sweep(smaller, threads=threads, options=COMPILED) for threads in (1, 2, 5)]
     for table in tables:
         assert table.distance.dtype == np.uint8
         np.testing.assert_array_equal(table.distance, tables[0].distance)

@@ -30,12 +30,6 @@ class Case:
 
 
 CASES = {
-    "counter saturates": Case(
-        "(:functions (packed)) (:action pack :parameters () :precondition (and) :effect (increase (packed) 1))",
-        "(:init (= (packed) 0)) (:goal (>= (packed) 3))",
-        cost="3",
-        states=4,
-    ),
     "capacity": Case(
         "(:types crate box) (:predicates (in ?b - box ?c - crate) (free ?b - box)) (:functions (load ?c - crate) "
         "(capacity ?c - crate) (weight ?b - box)) (:action put :parameters (?b - box ?c - crate) :precondition "
@@ -47,16 +41,6 @@ CASES = {
         "(:goal (and (not (free b1)) (not (free b2)) (not (free b3))))",
         cost="3",
         states=15,
-    ),
-    "duration constants": Case(
-        "(:predicates (cut) (glued) (done)) (:durative-action cut :parameters () :duration (= ?duration 7) "
-        ":condition (and) :effect (and (at end (cut)))) (:durative-action glue :parameters () :duration (= "
-        "?duration 2.5) :condition (at start (cut)) :effect (at end (glued))) (:durative-action nail :parameters "
-        "() :duration (= ?duration 2.25) :condition (over all (cut)) :effect (at end (glued))) (:durative-action "
-        "finish :parameters () :duration (= ?duration 0) :condition (at end (glued)) :effect (at end (done)))",
-        "(:init) (:goal (done)) (:metric minimize (total-time))",
-        cost="9.25",
-        states=4,
     ),
     "duration expression": Case(
         "(:types place robot) (:predicates (at ?r - robot ?p - place) (road ?a ?b - place)) (:functions (distance "
@@ -120,15 +104,6 @@ CASES = {
         "(:objects a b - bin) (:init (= (n a) 0)) (:goal (and (= (n a) 1) (= (n b) 1)))",
         cost="3",
         states=60,
-    ),
-    "metric fluent": Case(
-        "(:types place) (:predicates (in ?p - place) (road ?a ?b - place)) (:functions (d ?a ?b - place) (used)) "
-        "(:action drive :parameters (?a ?b - place) :precondition (and (in ?a) (road ?a ?b)) :effect (and (not "
-        "(in ?a)) (in ?b) (increase (used) (* 1.5 (d ?a ?b)))))",
-        "(:objects a b c - place) (:init (in a) (road a b) (road b c) (road a c) (= (d a b) 2) (= (d b c) 2) (= "
-        "(d a c) 5) (= (used) 100)) (:goal (in c)) (:metric minimize (used))",
-        cost="6",
-        states=3,
     ),
     "metric time and fluent": Case(
         "(:predicates (done)) (:functions (energy)) (:durative-action quick :parameters () :duration (= ?duration "
@@ -303,25 +278,6 @@ CASES = {
         "(:goal (and (< (v c0) (v c1)) (< (v c1) (v c2)) (< (v c2) (v c3))))",
         cost="6",
         states=2401,
-    ),
-    "kitting station": Case(
-        "(:types part color slot) (:predicates (in-bin ?p - part) (holding ?p - part) (free-hand) (color-of ?p - "
-        "part ?c - color) (in-slot ?c - color ?s - slot) (busy ?s - slot) (sent)) (:functions (now-in-kit) "
-        "(wanted) (reach ?p - part) (insert-time)) (:durative-action pick :parameters (?p - part) :duration (= "
-        "?duration (+ (reach ?p) 0.5)) :condition (and (at start (in-bin ?p)) (at start (free-hand))) :effect "
-        "(and (at start (not (in-bin ?p))) (at start (not (free-hand))) (at end (holding ?p)))) (:durative-action "
-        "place :parameters (?p - part ?c - color ?s - slot) :duration (= ?duration (insert-time)) :condition (and "
-        "(at start (holding ?p)) (over all (color-of ?p ?c)) (at start (not (busy ?s))) (over all (< (now-in-kit) "
-        "(wanted)))) :effect (and (at start (not (holding ?p))) (at start (busy ?s)) (at end (in-slot ?c ?s)) (at "
-        "end (free-hand)) (at end (increase (now-in-kit) 1)))) (:durative-action send :parameters () :duration (= "
-        "?duration 4) :condition (and (at start (not (sent))) (over all (= (now-in-kit) (wanted)))) :effect (at "
-        "end (sent)))",
-        "(:objects p1 p2 p3 - part red blue - color s1 s2 - slot) (:init (in-bin p1) (in-bin p2) (in-bin p3) "
-        "(free-hand) (color-of p1 red) (color-of p2 red) (color-of p3 blue) (= (now-in-kit) 0) (= (wanted) 2) (= "
-        "(reach p1) 2) (= (reach p2) 1.25) (= (reach p3) 3) (= (insert-time) 1.5)) (:goal (and (in-slot red s1) "
-        "(in-slot blue s2) (sent))) (:metric minimize (total-time))",
-        cost="12.25",
-        states=42,
     ),
 }
 

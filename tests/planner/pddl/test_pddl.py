@@ -68,13 +68,6 @@ CHANGED = {
     "maximising": ("(:goal", "(:metric maximize (total-cost))\n  (:goal", "(:metric", "maximize is not supported"),
     "a metric without a direction": ("(:goal", "(:metric)\n  (:goal", "(:metric)", "(:metric minimize"),
     "a mistyped direction": ("(:goal", "(:metric minimise (total-cost))\n  (:goal", "(:metric", "mean 'minimize'"),
-    "a variable in the goal": (
-        "(in-slot wrench slot-2)", "(in-slot wrench ?s)", "(in-slot wrench ?s)", "unknown variable '?s'",
-    ),
-    "imply of one": (
-        "(and (in-storage ?c) (platform-free))", "(and (in-storage ?c)\n (imply (platform-free)))", "(imply",
-        "'imply' expects exactly two",
-    ),
     "parameters without parentheses": (
         "fetch\n    :parameters (?c - container)", "fetch\n    :parameters ?c", ":parameters ?c", "'fetch'",
     ),

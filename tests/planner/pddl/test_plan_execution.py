@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import write_instance
 from direct_search import Direct, UnsupportedError
 from random_numeric import draw
 
-from planner import Instance, MismatchError
+from planner import MismatchError
 from planner.pddl.plan_execution import execute
 
 DOMAIN = """(define (domain cell) (:requirements :durative-actions :numeric-fluents) (:types bin tray)
@@ -28,13 +29,6 @@ PROBLEM = """(define (problem one) (:domain cell) (:objects bin-1 bin-2 - bin tr
 (:init (= (stock bin-1) 3) (= (weight tray-1) 0) (= (speed) 2)) (:goal (ready tray-1)) METRIC)"""
 
 
-def files(folder: Path, domain: str, problem: str) -> Instance:
-    instance = Instance(folder / "problem.pddl", folder / "domain.pddl")
-    instance.domain.write_text(domain)
-    instance.problem.write_text(problem)
-    return instance
-
-
 PICK, SHIP = "(pick bin-1 tray-1)", "(ship tray-1)"
 
 
@@ -47,7 +41,7 @@ PICK, SHIP = "(pick bin-1 tray-1)", "(ship tray-1)"
     ],
 )
 def test_a_plan_costs_what_the_metric_says(tmp_path: Path, metric: str, cost: Fraction) -> None:
-    assert execute(files(tmp_path, DOMAIN, PROBLEM.replace("METRIC", metric)), [PICK, PICK, SHIP]).cost == cost
+    assert execute(write_instance(tmp_path, DOMAIN, PROBLEM.replace("METRIC", metric)), [PICK, PICK, SHIP]).cost == cost
 
 
 @pytest.mark.parametrize(
@@ -63,7 +57,7 @@ def test_a_plan_costs_what_the_metric_says(tmp_path: Path, metric: str, cost: Fr
 )
 def test_a_plan_that_is_none_is_refused(tmp_path: Path, plan: list[str], message: str) -> None:
     with pytest.raises(MismatchError, match=message):
-        execute(files(tmp_path, DOMAIN, PROBLEM.replace("METRIC", "")), plan)
+        execute(write_instance(tmp_path, DOMAIN, PROBLEM.replace("METRIC", "")), plan)
 
 
 def test_derived_predicates_follow_numbers(tmp_path: Path) -> None:
@@ -73,7 +67,7 @@ def test_derived_predicates_follow_numbers(tmp_path: Path) -> None:
     (:action add :parameters (?x) :precondition (low ?x) :effect (increase (n ?x) 1))
     (:action end :parameters (?x ?y) :precondition (and (not (= ?x ?y)) (chain ?x ?y)) :effect (done)))"""
     problem = """(define (problem p) (:domain d) (:objects a b) (:init (= (n a) 1) (= (n b) 1)) (:goal (done)))"""
-    instance = files(tmp_path, domain, problem)
+    instance = write_instance(tmp_path, domain, problem)
     assert execute(instance, ["(add a)", "(add b)", "(end a b)"]).cost == 3
     for wrong in (["(add a)", "(add a)"], ["(add a)", "(end a b)"]):
         with pytest.raises(MismatchError, match=r"step 1: .* is not applicable"):
@@ -101,7 +95,7 @@ def test_random_plans_are_judged_as_by_a_direct_search(tmp_path: Path) -> None:
     right = wrong = 0
     for seed in range(12):
         texts = draw(seed)
-        instance = files(tmp_path, texts.domain, texts.problem)
+        instance = write_instance(tmp_path, texts.domain, texts.problem)
         direct, rng = Direct(instance.domain, instance.problem), np.random.default_rng(seed)
         names = [name for name, _, _ in direct.ground]
         plans = [[str(one) for one in rng.choice(names, size=size)] for size in range(4)] if names else []

@@ -234,6 +234,7 @@ def test_what_is_of_a_supertype_may_be_of_the_type(tmp_path: Path) -> None:
         ("(at ?a)\n", "((at ?a))\n", 8, 19, "is no condition"),
         ("(at ?a)\n", "(> (way ?a ?b))\n", 8, 19, "'>' expects exactly two arguments"),
         ("(at ?a)\n", "(= ?a ?b ?a)\n", 8, 19, "'=' expects exactly two arguments"),
+        ("(at ?a)\n", "(imply (at ?a))\n", 8, 19, "'imply' expects exactly two arguments"),
         ("(at ?a)\n", "(when (at ?a) (at ?b))\n", 8, 19, "unknown predicate 'when'"),
         ("(?o - thing) (held ?o)", "(?o - tray) (held ?o)", 15, 38, "held has an argument of the wrong type"),
         ("(?o - thing) (held ?o)", "(?o - (either tray part)) (at ?p)", 15, 50, "'\\?p' is of type thing"),

@@ -18,13 +18,12 @@ def process_of(second: SecondReader) -> int:
     return second._process.popen.pid
 
 
-def test_a_second_reader_that_dies_or_hangs_gives_a_reason() -> None:
+def test_a_second_reader_that_dies_gives_a_reason_and_another_one_answers() -> None:
     reading = read(instance("kitting/tiny"))
-    for number, seconds, reason in ((signal.SIGKILL, 60.0, "its process died"), (signal.SIGSTOP, 0.2, LATE)):
-        with SecondReader(reading) as second:
-            os.kill(process_of(second), number)
-            second.ask(["(fetch box-a)"])
-            assert second.answer(seconds) == reason
+    with SecondReader(reading) as second:
+        os.kill(process_of(second), signal.SIGKILL)
+        second.ask(["(fetch box-a)"])
+        assert second.answer(60.0) == "its process died"
     with SecondReader(reading) as second:
         second.ask([])
         with pytest.raises(MismatchError):
@@ -40,11 +39,11 @@ def test_a_second_reader_serves_one_instance_after_another() -> None:
     assert len(processes) == 1
 
 
-def test_asking_the_second_reader_takes_no_time() -> None:
+def test_asking_a_second_reader_that_hangs_takes_no_time() -> None:
     """Neither a long text nor a long plan waits for a process that reads nothing."""
     reading = read(instance("kitting/tiny"))
     long = replace(reading, problem=replace(reading.problem, name="p" * 10_000_000))
     with SecondReader(long) as second:
         os.kill(process_of(second), signal.SIGSTOP)
         second.ask(["(fetch box-a)"] * 100_000)
-        assert second.answer(0.0) == LATE
+        assert second.answer(0.2) == LATE

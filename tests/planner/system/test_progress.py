@@ -259,7 +259,7 @@ def test_the_environment_decides_where_nobody_looks(
         time.sleep(0.002)
         return team.act(np.full(team.location.shape, -1), np.zeros_like(team.x))
 
-    compare(pool, slow, humans=2, episodes=5)
+    compare(pool, slow, humans=2, episodes=1)
     assert ("simulating slow" in capsys.readouterr().err) == lines
 
 

@@ -130,7 +130,7 @@ def test_a_copy_of_numbered_states_is_one_moment_of_them() -> None:
     thread = threading.Thread(target=number)
     thread.start()
     try:
-        for _ in range(20):
+        for _ in range(8):
             other = copy.deepcopy(met)
             held = len(other)
             assert other.states(slice(0, held))[:, 0].tolist() == list(range(held))
