@@ -41,6 +41,6 @@ def test_a_mutant_differs_in_one_place() -> None:
     mutants = importlib.import_module("mutants").mutants_of(engine)
     lines = ast.unparse(mutants[0].tree).splitlines()
     assert len(mutants) > 20
-    for mutant in mutants[:: len(mutants) // 20]:
+    for mutant in mutants[:: len(mutants) // 5]:
         changed = ast.unparse(mutant.program()).splitlines()
         assert sum(one != other for one, other in zip(lines, changed, strict=True)) == 1, mutant.told

@@ -45,7 +45,6 @@ class Case:
     said: str = ""
     go: str = "1"
     pick: str = "1"
-    ends: str = "\n"
     names: tuple[str, str] = ("domain.pddl", "p.pddl")
 
     def write(self, folder: Path) -> Path:
@@ -53,22 +52,17 @@ class Case:
         for name, text in zip(self.names, (DOMAIN, PROBLEM), strict=True):
             for old, new in (("GO", self.go), ("PICK", self.pick), *self.changed):
                 text = text.replace(old, new)
-            (folder / name).write_text(text.replace("\n", self.ends), encoding="utf-8", newline="")
+            (folder / name).write_text(text, encoding="utf-8")
         return folder / self.names[1]
 
 
 CASES = {
     "nothing changed": Case(cost=7),
     "a hyphen glued to a type": Case((("nut - part", "nut -part"),), said="p.pddl:2: '-part': expected a blank"),
-    "a hyphen glued in the domain": Case((("?p - part", "?p -part"),), said="domain.pddl:4: '-part': expected a blank"),
-    "two costs in one action": Case(go="3) (increase (total-cost) 4", said="domain.pddl:7: action 'go' has two costs"),
     "two costs, and a type without a parent": Case(
         (("part bin - object", "part bin - object tray - bin bin"),), go="3) (increase (total-cost) 4",
         said="domain.pddl:7: action 'go' has two costs",
     ),
-    "lines that end in CR": Case(ends="\r", cost=7),
-    "lines that end in CR and LF": Case(ends="\r\n", cost=7),
-    "a space of no width": Case((("(here shelf)", "\u200b(here shelf)"),), said="p.pddl:3: zero width space"),
     "costs of a hundred million": Case(go="100000000", pick="70000000", cost=440_000_002),
     "costs whose sum exceeds 32 bits": Case(go="1500000000", cost=4_500_000_004),
     "costs that exceed 32 bits": Case(go="5000000000", cost=15_000_000_004),
@@ -79,17 +73,12 @@ CASES = {
     ),
     "the largest costs": Case(go="1000000000000", cost=3_000_000_000_004),
     "a cost of a function that is not there": Case(go="(fra ?a ?b)", said="did you mean 'far'"),
-    "a cost in words": Case(go="two", said="domain.pddl:7: action 'go' costs 'two'"),
     "a wrong type beside a derived predicate": Case(
         ((":action-costs)", ":action-costs :derived-predicates)"),
          ("(held ?p - part) (free)", "(held ?p - part) (busy) (free)"),
          ("  (:action go", "  (:derived (busy) (exists (?p - part) (held ?p)))\n  (:action go"),
          ("(in bolt shelf)", "(in shelf bolt)")),
         said="p.pddl:3: in has an argument of the wrong type",
-    ),
-    "sensing": Case(
-        (("  (:action go", "  (:action look :parameters () :precondition (free) :observe (free))\n  (:action go"),),
-        said="domain.pddl:6: action 'look' observes",
     ),
     "a domain by another name": Case(names=("packing_domain.pddl", "packing_problem.pddl"), cost=7),
     "a domain of one problem": Case(names=("p01-domain.pddl", "p01.pddl"), cost=7),

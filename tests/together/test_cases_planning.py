@@ -181,6 +181,7 @@ def test_the_first_plan_of_a_task_with_rules_does_not_wait_for_its_sweep(
     assert seen[0]["note"].endswith(SWEEPING)
 
 
+@pytest.mark.slow
 def test_a_number_without_a_bound_is_said_once(tmp_path: Path) -> None:
     domain = """(define (domain d) (:requirements :fluents) (:predicates (done)) (:functions (n))
       (:action halve :parameters () :effect (scale-down (n) 2))
@@ -195,16 +196,16 @@ def test_a_number_without_a_bound_is_said_once(tmp_path: Path) -> None:
 def test_a_type_and_a_predicate_of_one_name_are_said_once(tmp_path: Path) -> None:
     """unified-planning does not read such files; their other notes are those of each."""
     texts = [text.replace("GO", "2").replace("(free)", "(bin)") for text in (DOMAIN, PROBLEM)]
-    for name in ("one", "other", "third"):
+    for name in ("one", "other"):
         (tmp_path / name).mkdir()
         write_instance(tmp_path / name, *texts)
     done = invoke("solve", tmp_path, "--verify", 1, "--jobs", 1)
-    assert (done.exit_code, done.stdout.count(" solved ")) == (0, 3)
+    assert (done.exit_code, done.stdout.count(" solved ")) == (0, 2)
     lines = done.stderr.splitlines()
     assert len(lines) == 2, done.stderr
     assert "not checked by unified-planning: it says '" in lines[0]
     assert "environment flag" not in lines[0]
-    assert lines[1] == f"2 other instances: {lines[0].partition(': ')[2]}"
+    assert lines[1] == f"1 other instance: {lines[0].partition(': ')[2]}"
 
 
 def test_where_a_star_does_not_answer_soon_the_table_is_checked_at_once(
@@ -243,9 +244,9 @@ def test_a_table_that_is_wrong_along_the_plan_is_found_out(tiny: Table) -> None:
 
 
 def test_what_is_compared_of_a_small_task_does_not_depend_on_time() -> None:
-    options = SolveOptions(comparison_share=0.0, comparison_seconds=0.0)
+    options = SolveOptions(comparison_share=0.0, comparison_seconds=0.0, verify=5)
     records = [solve_instance(instance(TINY), options) for _ in range(2)]
-    assert [(one["verified"], one["consistent"], one["note"]) for one in records] == [(20, 20, None)] * 2
+    assert [(one["verified"], one["consistent"], one["note"]) for one in records] == [(5, 5, None)] * 2
 
 
 def test_a_folder_is_a_line_for_each_instance_in_order_of_completion(capsys: pytest.CaptureFixture[str]) -> None:

@@ -157,8 +157,8 @@ def test_results_of_fit_are_what_figures_and_comparisons_take() -> None:
 
 def test_long_calls_end_within_their_time_with_what_is_done() -> None:
     pool = Pool.sample("kitting/tiny", 3, seed=1)
-    whole = simulate(pool, "reactive", humans=2, episodes=200, seed=1)
-    some = simulate(pool, "reactive", humans=2, episodes=200, seed=1, time_limit=1e-9)
+    whole = simulate(pool, "reactive", humans=2, episodes=70, seed=1)
+    some = simulate(pool, "reactive", humans=2, episodes=70, seed=1, time_limit=1e-9)
     assert 0 < len(some) < len(whole)
     assert (some.actions == whole.actions[: len(some)]).all()
     people = fit("kitting/tiny", LOG, model="misconceptions", time_limit=1e-9)
