@@ -156,13 +156,6 @@ CASES = {
         "(:init (= (a) 1) (= (b) 1)) (:goal (done))",
         said="(a) has no proven limit (part, sum); expected conditions",
     ),
-    "unbounded": Case(
-        "(:functions (n)) (:predicates (done)) (:action up :parameters () :precondition (and) :effect (increase "
-        "(n) 2)) (:action down :parameters () :precondition (and) :effect (decrease (n) 3)) (:action stop "
-        ":parameters () :precondition (= (n) 1) :effect (done))",
-        "(:init (= (n) 0)) (:goal (done))",
-        said="(n) grows without a limit (up) and falls without a limit (down)",
-    ),
     "conserved": Case(
         "(:types place) (:functions (stock ?p - place)) (:predicates (next ?a ?b - place)) (:action carry "
         ":parameters (?a ?b - place) :precondition (and (next ?a ?b) (>= (stock ?a) 1)) :effect (and (decrease "
@@ -219,12 +212,6 @@ CASES = {
         "(need k2 rotor) 1)) (:goal (forall (?k - kit) (sent ?k)))",
         cost="5",
         states=12,
-    ),
-    "maximize": Case(
-        "(:functions (gain)) (:predicates (done)) (:action take :parameters () :precondition (not (done)) :effect "
-        "(and (done) (increase (gain) 3)))",
-        "(:init (= (gain) 0)) (:goal (done)) (:metric maximize (gain))",
-        said="maximize",
     ),
     "preference": Case(
         "(:predicates (a) (b)) (:action go :parameters () :precondition (and) :effect (a))",
