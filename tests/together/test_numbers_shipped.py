@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import invoke, thinned
+from conftest import invoke
 
 from planner import load, sweep
 
@@ -23,7 +23,8 @@ def answered(*arguments: Any) -> Any:
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("name", thinned(SHIPPED))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
 def test_they_go_the_whole_way(name: str, tmp_path: Path) -> None:
     """Policy, bound, simulation, fit, drawing, and an environment agree about costs and actions."""
     pytest.importorskip("gymnasium")

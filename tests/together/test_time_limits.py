@@ -108,7 +108,10 @@ FINISHED: dict[str, tuple[Callable[[float | None], Any], Callable[[Any], Any]]] 
 """
 
 
-@pytest.mark.parametrize("name", FINISHED)
+LONG = {"coupled.simulate", "coupled.certify"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in FINISHED])
 def test_what_is_finished_is_returned(name: str) -> None:
     call, done = FINISHED[name]
     assert done(call(AT_ONCE)) < done(call(None))

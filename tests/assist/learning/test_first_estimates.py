@@ -41,7 +41,7 @@ def test_the_likelihood_is_that_of_compiled_code(kind: str) -> None:
         assert found == pytest.approx(log_likelihood(one, beta, theta, eta, method), rel=1e-11)
 
 
-@pytest.mark.parametrize("kind", ["goal known", "goals"])
+@pytest.mark.parametrize("kind", [pytest.param("goal known", marks=pytest.mark.slow), "goals"])
 def test_first_estimates_are_near_the_precise_ones(kind: str) -> None:
     seen, method = people(kind)
     for first, precise in zip(first_estimates(seen, method), maximum_likelihood(seen, method), strict=True):

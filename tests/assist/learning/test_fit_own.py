@@ -97,6 +97,7 @@ def test_people_like_them_choose_so_too(plain: FittedPeople) -> None:
     assert plain.population().chooses is None
 
 
+@pytest.mark.slow
 def test_a_task_solved_on_demand_gives_the_estimates_of_its_table() -> None:
     log = Log.of([row for row in ROWS if row["episode"] == "0"])
     whole, asked = (fit(task, log, model=Doubled()) for task in (PAPER, OnDemand(PAPER.task)))

@@ -24,7 +24,10 @@ def every() -> dict[str, Any]:
     return dict(figures(large=False))
 
 
-@pytest.mark.parametrize("name", RECORDED)
+LONG = {"influence, reliability"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in RECORDED])
 def test_figures_are_as_recorded(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -198,6 +198,7 @@ def worked(task: Table, file: Path, people: int, tasks: int) -> tuple[list[dict[
     return log, thetas
 
 
+@pytest.mark.slow
 def test_theta_at_each_suggestion_is_that_of_people_in_a_live_session(tiny: Table, tmp_path: Path) -> None:
     log, thetas = worked(tiny, tmp_path / "a.sqlite", 5, 2)
     at, moved = {(row["person"], row["order"]): row["theta"] for row in thetas}, 0

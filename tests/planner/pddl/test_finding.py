@@ -167,7 +167,7 @@ def test_a_folder_of_many_problems(tmp_path: Path) -> None:
 
 def test_records_name_the_domain_that_was_found(tmp_path: Path) -> None:
     written(tmp_path, "a/packing_domain.pddl", "a/tiny.pddl", "b/p.pddl")
-    done = invoke("solve", tmp_path, "--jobs", 1, "--json")
+    done = invoke("solve", tmp_path, "--jobs", 1, "--verify", 1, "--json")
     records = json.loads(done.stdout)
     assert [(record["status"], Path(record["domain"]).name) for record in records] == [
         ("solved", "packing_domain.pddl"), ("invalid", "domain.pddl"),

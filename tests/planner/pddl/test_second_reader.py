@@ -18,6 +18,7 @@ def process_of(second: SecondReader) -> int:
     return second._process.popen.pid
 
 
+@pytest.mark.slow
 def test_a_second_reader_that_dies_gives_a_reason_and_another_one_answers() -> None:
     reading = read(instance("kitting/tiny"))
     with SecondReader(reading) as second:
@@ -25,9 +26,7 @@ def test_a_second_reader_that_dies_gives_a_reason_and_another_one_answers() -> N
         second.ask(["(fetch box-a)"])
         assert second.answer(60.0) == "its process died"
     with SecondReader(reading) as second:
-        second.ask([])
-        with pytest.raises(MismatchError):
-            second.answer(60.0)
+        assert second.answer(60.0) is None
 
 
 def test_a_second_reader_serves_one_instance_after_another() -> None:
@@ -37,6 +36,10 @@ def test_a_second_reader_serves_one_instance_after_another() -> None:
             processes.add(process_of(second))
             assert second.answer(60.0) is None
     assert len(processes) == 1
+    with SecondReader(read(instance("kitting/tiny"))) as second:
+        second.ask([])
+        with pytest.raises(MismatchError):
+            second.answer(60.0)
 
 
 def test_asking_a_second_reader_that_hangs_takes_no_time() -> None:

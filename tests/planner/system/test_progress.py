@@ -244,7 +244,7 @@ def test_a_person_who_is_solved_when_first_asked_is_shown(tiny: Table, monkeypat
         assert "solving a person's POMDP" in on_terminal(monkeypatch, policy.prepare)
 
 
-@pytest.mark.parametrize(("wanted", "lines"), [("1", True), (None, False)])
+@pytest.mark.parametrize(("wanted", "lines"), [("1", True), pytest.param(None, False, marks=pytest.mark.slow)])
 def test_the_environment_decides_where_nobody_looks(
     wanted: str | None, lines: bool, tiny: Table, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
