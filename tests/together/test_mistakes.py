@@ -65,19 +65,6 @@ def test_a_live_session_has_the_same_mistakes(name: str) -> None:
         assert desk.erred("ann") == mistake
 
 
-def test_a_free_action_that_leads_nowhere_is_a_mistake() -> None:
-    """Unloading at once costs nothing, and the parcel is where it was: h* has not risen, but the way is longer."""
-    table = delivery("one-parcel")
-    plan = table.optimal_plan() or []
-    load_it = next(action for action in plan if action.startswith("(load"))
-    steps = plan[: plan.index(load_it) + 1]
-    unload = next(a for a in table.space.options(table.space.follow(steps)) if a.startswith("(unload"))
-    (o,) = observed(table, lines(*steps, unload))
-    assert o.regret.tolist() == [0] * (len(steps) + 1)
-    assert o.mistake.tolist() == [False] * len(steps) + [True]
-    assert o.suboptimal == 1
-
-
 def test_mistakes_are_the_same_where_states_are_asked_for() -> None:
     for one, other in zip(
         observed(delivery("one-parcel"), at_work("one-parcel")),

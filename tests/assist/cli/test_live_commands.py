@@ -15,7 +15,7 @@ from assist.live import Paused, Session
 from assist.live.header import _chances
 from assist.live.live_setting import LiveSetting
 from assist.live.simulated_person import SimulatedPerson
-from assist.people import Choices, Human, Population, Weighted
+from assist.people import Human, Population, Weighted
 from assist.people.memory import choices_of
 from assist.people.user_code import UserChoiceModel, _loaded
 from assist.web import server
@@ -274,15 +274,6 @@ def test_a_simulated_person_chooses_as_the_model_says(tiny: Table) -> None:
         done = person.act(tiny, state, names, None)
         row = int(choices.targets[row, names.index(done)])
     assert looked_back > 3
-
-
-def test_a_simulated_person_with_a_model_of_ones_own(tiny: Table, own: Path) -> None:
-    person = SimulatedPerson(Population(sigma=(0.0, 0.0), chooses=UserChoiceModel.load(own, "moves")), seed=3)
-    choices = Choices.of(tiny)
-    assert person.chances(tiny, choices.initial) == pytest.approx([0.5, 0.5])
-    theta = person.theta
-    person.act(tiny, choices.initial, ["(fetch box-a)", "(fetch box-b)"], "(fetch box-a)")
-    assert person.theta > theta
 
 
 def test_the_service_says_which_seats_are_simulated(begun: Begun, tmp_path: Path) -> None:

@@ -70,8 +70,8 @@ def test_the_region_is_of_so_many_states_however_the_cost_to_go_is_found() -> No
     def printed(known: CostToGo, *options: object) -> tuple[float, float]:
         """Return the printed return on a task with this cost-to-go, and that of Python with so small a region."""
         pool = Pool.sample(known, 2, seed=0, setting=Setting(c_suggest=0.2), states=1, region=5)
-        expected = simulate(pool, "attention", humans=2, episodes=20, seed=0).discounted_return.mean()
-        command = ["simulate", TINY, "--humans", 2, "--pool", 2, "--policy", "attention", "--episodes", 20]
+        expected = simulate(pool, "attention", humans=2, episodes=10, seed=0).discounted_return.mean()
+        command = ["simulate", TINY, "--humans", 2, "--pool", 2, "--policy", "attention", "--episodes", 10]
         done = invoke(*command, "--c-suggest", 0.2, "--json", *options)
         (found,) = json.loads(done.stdout)["policies"]
         return found["return"]["mean"], float(expected)

@@ -46,7 +46,7 @@ def total(env: TeamEnv, policy: str) -> list[float]:
     return returns
 
 
-@pytest.mark.parametrize("policy", thinned(POLICIES))
+@pytest.mark.parametrize("policy", thinned(POLICIES, every=4))
 def test_an_episode_is_the_simulators(pool: Pool, policy: str) -> None:
     found = simulate(pool, policy, humans=2, episodes=EPISODES, seed=5)
     assert total(TeamEnv(pool, 2), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
@@ -179,6 +179,7 @@ def test_states_on_demand_give_the_episodes_of_the_whole_task(name: str) -> None
         seen, other = found[0], same[0]
 
 
+@pytest.mark.slow
 def test_an_environment_of_a_task_on_demand_passes_the_library_check(tiny: Table) -> None:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*not able to test alternative render modes.*")

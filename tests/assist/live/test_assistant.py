@@ -21,7 +21,7 @@ from assist.person.qmdp import qmdp
 from assist.team.belief_trace import Watched
 from assist.team.pool import Pool
 from assist.team.simulate import simulate
-from planner import CostToGo, OnDemand, Table, cost_to_go, load
+from planner import CostToGo, OnDemand, Table
 
 WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"
 
@@ -136,7 +136,7 @@ def test_a_large_task_is_looked_at_where_people_are(tiny: Table, monkeypatch: py
         desks.append(Assistant(tiny, names, policy=policy, setting=setting))
     whole, every, few = desks
     rng, said = np.random.default_rng(1), dict.fromkeys(desks, 0)
-    for _ in range(60):
+    for _ in range(45):
         for desk in desks:
             if desk.robots[0] is not None:
                 desk.arrived(desk.robots[0])
@@ -344,12 +344,12 @@ def test_a_team_is_not_restored_with_people_who_choose_otherwise(tiny: Table) ->
 
 
 def test_a_large_team_has_room_for_more(tiny: Table) -> None:
-    desk = Assistant(tiny, [str(number) for number in range(3000)], setting=Setting(c_suggest=0.05, c_move=0.0))
+    desk = Assistant(tiny, [str(number) for number in range(1000)], setting=Setting(c_suggest=0.05, c_move=0.0))
     for action in ("(fetch box-a)", WRONG):
-        desk.observe("1234", action)
+        desk.observe("678", action)
     desk.join("last")
-    assert desk.recommend().person == "1234"
-    assert len(desk.people) == 3001
+    assert desk.recommend().person == "678"
+    assert len(desk.people) == 1001
 
 
 def test_the_robot_is_where_it_says(tiny: Table) -> None:
@@ -430,21 +430,6 @@ def test_a_robot_on_its_way_to_a_person_who_leaves_helps_others(tiny: Table, rep
     assert desk.recommend().arrived
     with pytest.raises(AbsentError):
         desk.arrived("carl")
-
-
-def test_free_actions_of_cheapest_plans_are_no_errors() -> None:
-    """Loading costs nothing: the cost-to-go stays the same, and the action is still an optimal choice."""
-    table = cost_to_go(load("delivery/one-parcel"))
-    desk = Assistant(table, policy="none", people=["ann"])
-    before = desk.person("ann").cost_to_go
-    same = []
-    for action in table.optimal_plan() or []:
-        desk.observe("ann", action)
-        assert not desk.erred("ann")
-        before, known = desk.person("ann").cost_to_go, before
-        same.append(before == known)
-    assert any(same)
-    assert desk.person("ann").finished
 
 
 def test_a_reason_counts_answers_and_expects_the_next(tiny: Table) -> None:

@@ -166,7 +166,7 @@ def test_old_answers_and_old_tasks_are_those_of_before(opened: Callable[..., Ses
     episode, tasks = {"ann": 1, "bob": 1}, {"ann": "tiny", "bob": "fixed"}
     for name, task in tasks.items():
         session.join(name, task)
-    for number in range(120):
+    for number in range(60):
         name = ("ann", "bob")[number % 2]
         seen, rows = session.person(name), log.setdefault((name, episode[name]), [])
         kind, task, action = "acted", None, None

@@ -15,7 +15,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from serving import served
@@ -106,32 +105,6 @@ def test_a_waiting_room_of_a_hundred_people_is_admitted_at_the_same_second(tiny:
             answers += [web.client.get(path), web.client.get(f"/api/people/{seat.json()['person']}",
                         headers={"Authorization": f"Bearer {token}"})]  # fmt: skip
             assert {answer.status_code for answer in answers} == {200}
-
-
-def test_nobody_takes_the_seat_of_somebody_elses_id(web: Web) -> None:
-    """An id that others know is bound to the browser that used it first, or to a signed link."""
-
-    def come(**body: str) -> Any:
-        return web.ask("POST", "/api/study/seats", VISITOR, json=body)
-
-    mine, other = {"key": "k" * 24}, {"key": "o" * 24}
-    assert come(id="participant 7").status_code == 403
-    first = come(id="participant 7", **mine).json()
-    assert come(id="participant 7", **mine).json() == first
-    taken = come(id="participant 7", **other)
-    assert (taken.status_code, taken.json()["detail"][:44]) == (409, "this participant has joined on another devic")
-    assert web.ask("POST", "/api/study/links", VISITOR, json={"participants": ["7"]}).status_code == 403
-    links = web.ask("POST", "/api/study/links", json={"participants": ["7", "a&b"]}).json()["links"]
-    signed = {one: parse_qs(urlsplit(link).query) for one, link in links.items()}
-    assert [query["participant"] for query in signed.values()] == [["7"], ["a&b"]]
-    seven, ab = (query["signature"][0] for query in signed.values())
-    assert come(id="participant 7", signature=seven).json() == first  # on any device
-    assert come(id="participant 7", signature=ab).status_code == 403
-    second = come(id="participant a&b", signature=ab).json()
-    assert second["person"] != first["person"]
-    assert come(id="participant a&b", signature=ab).json() == second
-    assert come(id="participant a&b", **other).status_code == 409
-    assert web.ask("GET", "/api/study").json()["taken"] == 2
 
 
 def test_without_the_key_nobody_can_connect_ids_and_codes(tiny: Table, tmp_path: Path) -> None:

@@ -229,7 +229,7 @@ def withdraws(task: Table, folder: Path, says: Connection) -> None:
     says.send("withdrawn")
 
 
-@pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [1, pytest.param(10, marks=pytest.mark.slow)])
 def test_who_kills_the_process_while_it_withdraws_loses_nothing_and_keeps_nothing(
     opened: Open, tiny: Table, tmp_path: Path, kills: int
 ) -> None:
