@@ -13,7 +13,7 @@ from disks import full, sealed, small
 from networks import conducted, running
 from serving import TINY
 from test_cases_networks import Line, has_done, says
-from test_cases_withdrawal import answers
+from test_cases_withdrawal import answered
 from test_event_store import content
 from test_userstudy_pages import PATIENCE
 from userstudies import ALONE, PLAN, Part, written
@@ -65,10 +65,7 @@ def test_who_withdraws_or_is_erased_on_a_full_disk_is_removed_when_there_is_room
 ) -> None:
     study = read(written(tmp_path / "study.toml", ALONE))
     session = StudySession(study, {"tiny": tiny, "practice": tiny}, disk / "data")
-    eve, ann = (Part(session, name) for name in ("eve", "ann"))
-    for part in (eve, ann):
-        part.come()
-        answers(part)
+    eve, ann = answered(session, "eve", "ann")
 
     def remove() -> None:
         eve.report("withdrew", id="asked") if how == "withdraw" else session.erase("eve", "wrote a letter")
@@ -132,9 +129,7 @@ def completed(tiny: Table, tmp_path: Path) -> Path:
     """The folder of a study in which one participant has come to the end."""
     study = read(written(tmp_path / "study.toml", ALONE))
     with closing(StudySession(study, {"tiny": tiny}, tmp_path / "data")) as session:
-        ann = Part(session, "ann")
-        ann.come()
-        answers(ann)
+        answered(session, "ann")
     return tmp_path / "data"
 
 

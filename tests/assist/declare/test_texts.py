@@ -82,7 +82,7 @@ def test_no_script_has_texts_of_its_own(file: Path) -> None:
 def test_participants_are_refused_in_the_studys_language(tiny: Table, tmp_path: Path) -> None:
     web = Web(tiny, tmp_path, GERMAN.replace("seed = 3", "seed = 3\nparticipants = 1"))
     with web.client:
-        ann = web.come("ann").json()["person"]
+        ann = web.take_part("ann")
         onward = f"/api/study/participants/{ann}/onward"
         page = web.client.get("/study").text
         assert '<html lang="de">' in page

@@ -32,7 +32,7 @@ def web(tiny: Table, tmp_path: Path) -> Any:
 
 def test_nobody_learns_which_codes_there_are(web: Web) -> None:
     """The answer is the same whether a participant exists or not, for people's data and for withdrawal codes."""
-    ann, eve = (web.come(name).json()["person"] for name in ("ann", "eve"))
+    ann, eve = map(web.take_part, ("ann", "eve"))
     nobody = "P-" + "".join(letter for letter in LETTERS if letter not in ann)[:6]
     paths = [f"/api/people/{{}}{rest}" for rest in ("", "/drawing", "/explanation")]
     paths += [f"/api/study/participants/{{}}{rest}" for rest in ("/withdrawal",)]
@@ -62,7 +62,7 @@ def test_secrets_are_compared_in_constant_time(web: Web, monkeypatch: pytest.Mon
     compared: list[tuple[bytes, bytes]] = []
     compare = hmac.compare_digest
     monkeypatch.setattr(hmac, "compare_digest", lambda a, b: compared.append((a, b)) or compare(a, b))
-    ann = web.come("ann").json()["person"]
+    ann = web.take_part("ann")
     code = web.service.withdrawal_code(ann)
     for guess in (code, code[:-1] + "2", "2" + code[1:], "x"):
         compared.clear()
@@ -82,7 +82,7 @@ def test_secrets_are_compared_in_constant_time(web: Web, monkeypatch: pytest.Mon
 
 
 def test_tokens_of_another_study_or_another_use_open_nothing(web: Web) -> None:
-    ann = web.come("ann").json()["person"]
+    ann = web.take_part("ann")
     foreign = AccessTokens(b"k" * 32, web.access.base)
     own = web.access
     tokens = [foreign.operator, foreign.token(ann), own.signature(f"person {ann}"), own.signed("seat", ann)]
@@ -112,7 +112,7 @@ def test_no_path_leads_to_another_file(web: Web) -> None:
         assert answer.status_code == 404, path
         assert "import" not in answer.text
         assert "CREATE TABLE" not in answer.text
-    ann = web.come("ann").json()["person"]
+    ann = web.take_part("ann")
     for language in ("../../study.toml", "/etc/passwd", "study.toml", "de.toml", "xx", "de\x00", SCRIPT):
         path = f"/api/people/{ann}/explanation?language={quote(language)}"
         assert web.ask("GET", path).status_code in (409, 422), language
@@ -132,7 +132,7 @@ def test_what_stands_in_an_address_is_not_in_its_page(web: Web, kind: str) -> No
 def test_no_header_bends_a_link_or_names_another_address(web: Web) -> None:
     forged = {"Host": "evil.example", "X-Forwarded-Host": "evil.example", "Forwarded": "host=evil.example"}
     forged |= {"X-Forwarded-Prefix": "/evil", "X-Original-URL": "/api/study", "X-HTTP-Method-Override": "DELETE"}
-    ann = web.come("ann").json()["person"]
+    ann = web.take_part("ann")
     headers = {"Authorization": f"Bearer {web.access.operator}", **forged}
     links = web.client.post("/api/study/links", headers=headers, json={"participants": ["7"]})
     assert "evil" not in links.text
@@ -146,7 +146,7 @@ def test_no_header_bends_a_link_or_names_another_address(web: Web) -> None:
 
 
 def test_bodies_of_every_size_and_kind_are_refused_before_they_are_kept(web: Web) -> None:
-    ann = web.come("ann").json()["person"]
+    ann = web.take_part("ann")
     headers = {"Authorization": f"Bearer {web.access.token(ann)}", "Content-Type": "application/json"}
     path = f"/api/study/participants/{ann}/onward"
 

@@ -175,7 +175,7 @@ def test_withdrawal_codes_cannot_be_tried_at_will(tiny: Table, tmp_path: Path) -
     with web.client:
         now = [0.0]
         web.service.guesses = Allowance(rate=1 / 30, burst=20, clock=lambda: now[0])
-        ann = web.come("ann").json()["person"]
+        ann = web.take_part("ann")
         web.onward(ann, "consent")
         code = web.service.withdrawal_code(ann)
 
@@ -212,10 +212,7 @@ def test_nobody_fills_the_disk_with_actions_and_whoever_does_can_withdraw(tiny: 
     with web.client:
         now = [0.0]
         web.service.often = Allowance(rate=1.0, burst=20, clock=lambda: now[0])
-        ann, eve = (web.come(name).json()["person"] for name in ("ann", "eve"))
-        for name in (ann, eve):
-            for stage in ("consent", "instructions"):
-                web.onward(name, stage)
+        ann, eve = (web.take_part(name, "consent", "instructions") for name in ("ann", "eve"))
 
         def acts(name: str, number: int) -> int:
             action = ("(fetch box-a)", "(return box-a)")[number % 2]
@@ -259,7 +256,7 @@ def test_participants_are_not_told_how_far_they_are_unless_the_study_says_so(tin
         folder.mkdir()
         web = Web(tiny, folder, text)
         with web.client:
-            ann = web.come("ann").json()["person"]
+            ann = web.take_part("ann")
             for stage in ("consent", "instructions"):
                 answer = web.onward(ann, stage).json()
             assert (answer["cost_to_go"] is not None) == shown
@@ -306,9 +303,7 @@ def test_answers_that_are_no_text_are_refused_and_the_export_stays_whole(tiny: T
     first = 'form = "text"\nname = "first"\nwhen = "before"\nitems = [{ name = "first", text = "Why?" }]'
     web = Web(tiny, tmp_path, PLAN.replace('form = "nasa-tlx"', first))
     with web.client:
-        ann = web.come("ann").json()["person"]
-        for stage in ("consent", "instructions"):
-            web.onward(ann, stage)
+        ann = web.take_part("ann", "consent", "instructions")
         headers = {"Authorization": f"Bearer {web.access.token(ann)}", "Content-Type": "application/json"}
         path, stage = f"/api/study/participants/{ann}/onward", "questionnaire first"
         for bad in ("\\ud800", "a\\udc00b", "\\u0000", "a\\u0000b"):

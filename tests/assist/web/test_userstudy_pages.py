@@ -58,6 +58,13 @@ class Web:
     def come(self, visit: str) -> Any:
         return self.ask("POST", "/api/study/seats", VISITOR, json={"id": visit})
 
+    def take_part(self, visit: str, *stages: str) -> str:
+        """Let somebody come and complete these stages; return their code."""
+        code = str(self.come(visit).json()["person"])
+        for stage in stages:
+            assert self.onward(code, stage).status_code == 200
+        return code
+
     def onward(self, code: str, stage: str, **more: Any) -> Any:
         return self.ask("POST", f"/api/study/participants/{code}/onward", code, json={"stage": stage, **more})
 
@@ -125,7 +132,7 @@ def test_without_the_key_nobody_can_connect_ids_and_codes(tiny: Table, tmp_path:
 
 
 def test_data_are_withdrawn_by_code_after_the_end(web: Web) -> None:
-    ann, bob = (web.come(name).json()["person"] for name in ("ann", "bob"))
+    ann, bob = map(web.take_part, ("ann", "bob"))
     path = f"/api/study/participants/{ann}"
     found = web.ask("GET", f"{path}/withdrawal", ann).json()
     assert found["code"].startswith(f"{ann}-")
@@ -159,7 +166,7 @@ def test_a_fault_of_the_program_is_one_sentence_and_stops_nobody(web: Web, monke
 
 
 def test_nothing_of_others_of_conditions_and_of_external_names_is_shown(web: Web) -> None:
-    ann = web.come("ann").json()["person"]
+    ann = web.take_part("ann")
     # Tokens in paths would be in the logs of proxies.
     for path in (
         "/study/x",
@@ -194,7 +201,7 @@ def test_who_is_not_connected_for_long_is_gone_and_may_come_back(tiny: Table, tm
     plan = PLAN.replace("away = 10", "away = 0.01").replace("seed = 3", "seed = 3\nparticipants = 1")
     web = Web(tiny, tmp_path, plan, check=0.02)
     with web.client:
-        ann = web.come("ann").json()["person"]
+        ann = web.take_part("ann")
         path = f"/api/people/{ann}"
         with watching(web, ann) as tab:
             assert tab.view()["study"]["kind"] == "consent"
@@ -227,7 +234,7 @@ def test_who_works_where_no_connection_can_be_kept_is_present(tiny: Table, tmp_p
     with web.client:
         clock: Any = Later(web.service._loop)
         web.service._loop = clock
-        ann, bob = (web.come(name).json()["person"] for name in ("ann", "bob"))
+        ann, bob = map(web.take_part, ("ann", "bob"))
 
         def left() -> set[str | None]:
             return {event.person for event in web.service.session.see(web.service._due) if event.kind == "left"}

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from conftest import thinned
 from store_faults import Failing
-from test_cases_withdrawal import answers, of_others
+from test_cases_withdrawal import answered, of_others
 from test_event_store import content, forked
 from test_userstudy_pages import Web
 from userstudies import PLAN, Part, written
@@ -42,10 +42,7 @@ def completed(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a study in which two participants have come to the end."""
     folder = tmp_path_factory.mktemp("completed")
     session = opened(tiny, folder)
-    for name in ("eve", "ann"):
-        part = Part(session, name)
-        part.come()
-        answers(part)
+    answered(session, "eve", "ann")
     session.close()
     return folder
 
@@ -159,7 +156,7 @@ def test_a_full_disk_is_said_to_participants_and_researchers(
 ) -> None:
     web = Web(tiny, tmp_path, PLAN.replace("seed = 3", 'seed = 3\nlanguage = "de"'))
     with web.client:
-        ann = web.come("ann").json()["person"]
+        ann = web.take_part("ann")
         store = web.service.session._store
         with monkeypatch.context() as patch:
             full = Failing(store._db, lambda sql: sql.startswith("INSERT INTO events"), kind="full")
@@ -264,10 +261,8 @@ def test_an_action_counts_at_the_stage_that_its_page_shows_only(tiny: Table, tmp
     """A tab that still shows practice does not act in the task, in which another tab of the participant is."""
     web = Web(tiny, tmp_path)
     with web.client:
-        ann = web.come("ann").json()["person"]
+        ann = web.take_part("ann", "consent", "instructions")
         path = f"/api/people/{ann}/actions"
-        for stage in ("consent", "instructions"):
-            web.onward(ann, stage)
         for action in tiny.optimal_plan(tiny.initial) or ():
             assert web.ask("POST", path, ann, json={"action": action, "stage": "practice"}).status_code == 200
         assert web.onward(ann, "practice").json()["study"]["stage"] == "task tiny"

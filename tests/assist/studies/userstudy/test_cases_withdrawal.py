@@ -32,12 +32,16 @@ __all__ = ["opened"]
 SLIDERS = {**SCORES["nasa-tlx"], "mental": 85}
 
 
-def answers(part: Part) -> None:
-    """Go to the last stage, with words of one's own."""
-    part.to("questionnaire nasa-tlx")
-    part.onward(SLIDERS)
-    part.to("questionnaire remarks")
-    part.onward({"remarks": f"words of {part.name}"})
+def answered(session: StudySession, *names: str) -> list[Part]:
+    """Let participants come and go to the last stage, with words of their own."""
+    parts = [Part(session, name) for name in names]
+    for part in parts:
+        part.come()
+        part.to("questionnaire nasa-tlx")
+        part.onward(SLIDERS)
+        part.to("questionnaire remarks")
+        part.onward({"remarks": f"words of {part.name}"})
+    return parts
 
 
 def of_others(session: StudySession, name: str) -> Any:
@@ -59,10 +63,7 @@ def of_others(session: StudySession, name: str) -> Any:
 def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool) -> None:
     """Neither in the journal and its log, nor in the export and the report, nor in what a killed process left."""
     session = opened()
-    ann, eve, cid = (Part(session, name) for name in ("ann", "P-EVE234", "cid"))
-    for part in (ann, eve, cid):
-        part.come()
-        answers(part)
+    eve = answered(session, "ann", "P-EVE234", "cid")[1]
     if not late:
         eve = Part(session, "P-EVE235")
         eve.come()
@@ -162,11 +163,7 @@ def test_what_was_withdrawn_before_is_removed_when_the_study_goes_on(
     with monkeypatch.context() as patch:
         patch.setattr(Cohort, "withdrawn", lambda _: [])
         session = opened(ALONE)
-        eve, ann = (Part(session, name) for name in ("eve", "ann"))
-        for part in (eve, ann):
-            part.come()
-            answers(part)
-        eve.report("withdrew")
+        answered(session, "eve", "ann")[0].report("withdrew")
         assert b"words of eve" in content(session.folder)
         session.close()
     session = opened(ALONE)
@@ -179,9 +176,7 @@ def test_a_withdrawal_whose_data_cannot_be_removed_says_so_and_is_completed(
     opened: Open, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
     session = opened(ALONE)
-    eve = Part(session, "eve")
-    eve.come()
-    answers(eve)
+    (eve,) = answered(session, "eve")
     session.report_all([])
     removing = [False]
 
@@ -206,10 +201,8 @@ def test_what_could_not_be_removed_is_tried_again_with_later_events(
     opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session = opened(ALONE)
-    eve, ann = (Part(session, name) for name in ("eve", "ann"))
-    for part in (eve, ann):
-        part.come()
-    answers(eve)
+    (eve,), ann = answered(session, "eve"), Part(session, "ann")
+    ann.come()
     with monkeypatch.context() as patch:
         patch.setattr(session._store, "_db", Failing(session._store._db, lambda sql: sql == "VACUUM"))
         with pytest.raises(JournalError):
@@ -235,10 +228,7 @@ def test_who_kills_the_process_while_it_withdraws_loses_nothing_and_keeps_nothin
 ) -> None:
     """An acknowledged withdrawal is complete. Any other is complete when the study goes on, or has not happened."""
     session, rng = opened(), random.Random(kills)
-    for name in ("eve", "ann"):
-        part = Part(session, name)
-        part.come()
-        answers(part)
+    answered(session, "eve", "ann")
     before = of_others(session, "eve")
     session.close()
     for attempt in range(kills):
@@ -265,10 +255,7 @@ def test_who_kills_the_process_while_it_withdraws_loses_nothing_and_keeps_nothin
 @pytest.mark.usefixtures("no_figures")
 def test_who_withdraws_after_the_end_did_not_complete_the_study(opened: Open) -> None:
     session = opened()
-    for name in ("ann", "eve", "cid"):
-        part = Part(session, name)
-        part.come()
-        answers(part)
+    answered(session, "ann", "eve", "cid")
     Part(session, "eve").report("withdrew")
     late = Part(session, "late")
     late.come()
@@ -297,11 +284,8 @@ def test_a_report_that_is_being_written_has_nothing_of_who_withdraws_meanwhile(
 ) -> None:
     """Another process has read the journal already, and writes its files after those of before were removed."""
     session = opened(ALONE)
-    for name in ("ann", "eve"):
-        part = Part(session, name)
-        part.come()
-        answers(part)
-        Part(session, name).report("excluded", reason=f"words about {name}")
+    for part in answered(session, "ann", "eve"):
+        part.report("excluded", reason=f"words about {part.name}")
     calls = []
 
     def late(*arguments: Any, **more: Any) -> str:
@@ -322,10 +306,7 @@ def test_a_flood_of_withdrawals_leaves_others_their_turn_and_all_are_removed(
 ) -> None:
     """Each removal reads the whole journal; while others have their turn, a page is told to ask again."""
     session, now = opened(ALONE), [100.0]
-    parts = [Part(session, f"P-{name}") for name in ("EVE234", "EVE235", "EVE236", "ANN234")]
-    for part in parts:
-        part.come()
-        answers(part)
+    parts = answered(session, "P-EVE234", "P-EVE235", "P-EVE236", "P-ANN234")
 
     def ticks() -> float:
         now[0] += 4.0  # so that each removal is a long one
@@ -351,10 +332,7 @@ def test_withdrawals_that_wait_are_removed_when_the_study_is_opened(
     opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session, now = opened(ALONE), [100.0]
-    parts = [Part(session, f"P-EVE{n}") for n in range(234, 238)]
-    for part in parts:
-        part.come()
-        answers(part)
+    parts = answered(session, *(f"P-EVE{n}" for n in range(234, 238)))
     monkeypatch.setattr(session, "_clock", lambda: now.append(now[-1] + 4.0) or now[-1])
     session.report_all([Withdrew(person=part.name) for part in parts])
     assert b"words of P-EVE237" in content(session.folder)
