@@ -127,7 +127,7 @@ def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any
         page.set_default_timeout(PATIENCE)
         marked = f"{link.replace('#', '?' + urlencode({'participant': IMAGE, 'withdraw': IMAGE, 'x': RUNS}) + '#')}"
         named = [f"{base}/{kind}/{quote(IMAGE, safe='')}#{quote(IMAGE)}" for kind in ("part", "join")]
-        own = [base + path for path in ("/", "/study/nowhere", "/docs")]
+        own = [base + path for path in ("/", "/study/nowhere")]
         for address in (*own, marked, *named, f"{base}/study/operator?{urlencode({'x': IMAGE})}#{quote(IMAGE)}"):
             page.goto(address)
             page.wait_for_selector("h1", state="attached")
