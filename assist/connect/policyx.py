@@ -29,7 +29,8 @@ def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
     Raises
     ------
     InputFileError
-        The file is malformed, or belongs to another problem.
+        The file is malformed, or its numbers of states, hidden pairs or robot actions are not the problem's. A policy
+        for other costs or another discount factor has the same numbers and is read.
     """
     observed = Observed.of(pomdp)
     reader = _PolicyReader(str(path), observed)
