@@ -4,7 +4,7 @@ Start effects turn the state s into s1 (deletions first, then additions); condit
 of s1; end effects are made on s1. All of them are rewritten as conditions and effects in s (regression): a fact p holds
 in s1 if the start adds it, or if it holds in s and the start does not delete it; variables of p and of the effect may
 stand for the same object, which the new condition tests by equalities. A number read in s1 is the one after the start's
-change of it.
+change of it; whether a term with a quantified variable is the changed one is tested by equalities, too.
 
 In `(when (at start c) (at end e))`, c is read in s.
 """
@@ -21,9 +21,11 @@ from .conditions import (
     FALSE,
     TRUE,
     changed,
+    comparisons,
     conjunction,
     disjunction,
     exclude,
+    free_variables,
     quantified,
     same,
     substituted,
@@ -32,7 +34,7 @@ from .conditions import (
 from .declarations import Typed, refuse
 from .formulas import listed, word
 from .instances import Expression, Place
-from .numeric_expressions import DURATION, OPERATIONS
+from .numeric_expressions import DURATION, OPERATIONS, terms_of
 from .timed_schemas import END, START, Change, Literal, TimedSchema, reads_duration
 
 ZERO = word("0")
@@ -72,7 +74,7 @@ def merged(file: Path, schema: TimedSchema, derived: frozenset[str]) -> Schema:
     `derived` are the derived predicates that depend on changing facts.
     """
     start = _Start(file, schema, derived)
-    duration, bounds = _duration(file, schema, start)
+    duration, bounds = _duration(file, schema)
 
     def timed(expression: Expression) -> Expression:
         return _with_duration(expression, duration)
@@ -180,16 +182,15 @@ def _with_duration(expression: Expression, duration: Expression | None) -> Expre
     return expression._replace(parts=tuple(_with_duration(part, duration) for part in expression.parts))
 
 
-def _duration(file: Path, schema: TimedSchema, start: _Start) -> tuple[Expression | None, list[Expression]]:
+def _duration(file: Path, schema: TimedSchema) -> tuple[Expression | None, list[Expression]]:
     """Return the least duration, and the conditions under which it is allowed."""
     if schema.durations is None:
         return None, []
     exact: list[Expression] = []
     lower: list[Expression] = []
     upper: list[Expression] = []
-    for time, comparison, amount in schema.durations:
-        number = start.number(amount) if time == END else amount
-        {"=": exact, ">=": lower, "<=": upper}[comparison].append(number)
+    for _, comparison, amount in schema.durations:  # it is read in s, also where it is stated (at end ...)
+        {"=": exact, ">=": lower, "<=": upper}[comparison].append(amount)
     if not exact and (reader := reader_of_duration(schema)) is not None:
         refuse(file, reader, f"durative action '{schema.name}': an effect or condition reads {DURATION}, and the "
                f"duration is free; expected (= {DURATION} NUMBER)")  # fmt: skip
@@ -226,20 +227,40 @@ class _Start:
         ]  # fmt: skip
         self.changes = [(before, change) for time, before, change in schema.changes if time == START]
         self.derived = derived
+        self.parameters = {each.name for each in schema.parameters}
 
     def condition(self, condition: Expression) -> Expression:
         """Return the condition in s that is equivalent to a condition in s1."""
         return changed(condition, self._leaf)
 
     def _leaf(self, leaf: Expression) -> Expression:
-        if leaf.head == "failed":
-            inner = leaf.parts[1]
-            return listed(leaf.parts[0], inner._replace(parts=(inner.parts[0], *map(self.number, inner.parts[1:]))))
-        if leaf.head in COMPLEMENT:
-            return leaf._replace(parts=(leaf.parts[0], *map(self.number, leaf.parts[1:])))
+        if leaf.head in COMPLEMENT or leaf.head == "failed":
+            return self._compared(leaf, frozenset())
         if leaf.head == "not":
             return leaf if leaf.parts[1].head == "=" else unsatisfied(self._atom(leaf.parts[1]))
         return leaf if leaf.head == "=" else self._atom(leaf)
+
+    def _compared(self, leaf: Expression, apart: frozenset[tuple[Expression, Expression]]) -> Expression:
+        """Return the condition in s for a comparison in s1, or one that is not satisfied.
+
+        Whether a term with a quantified variable is one that the start changes is tested by equalities; those that are
+        `apart` are not.
+        """
+        terms = [each for one in comparisons(leaf) for side in one.parts[1:] for each in terms_of(side)]
+        for term in terms:
+            for _, change in self.changes:
+                alike = unified(change, term)
+                if alike is None or (term, change.term) in apart or free_variables(alike).keys() <= self.parameters:
+                    continue  # the same term, or never the same
+                is_changed = self._compared(_exchanged(leaf, term, change.term), apart)
+                is_not = self._compared(leaf, apart | {(term, change.term)})
+                return disjunction((conjunction((alike, is_changed)), conjunction((unsatisfied(alike), is_not))))
+        return self._numeric(leaf)
+
+    def _numeric(self, leaf: Expression) -> Expression:
+        if leaf.head == "failed":
+            return listed(leaf.parts[0], self._numeric(leaf.parts[1]))
+        return leaf._replace(parts=(leaf.parts[0], *map(self.number, leaf.parts[1:])))
 
     def _atom(self, atom: Expression) -> Expression:
         if atom.head in self.derived and self.literals:
@@ -271,6 +292,13 @@ class _Start:
                     _too_intricate(self.file, self.schema, change)
                 found = total((found, amount)) if change.grows else amount
         return found
+
+
+def _exchanged(expression: Expression, term: Expression, other: Expression) -> Expression:
+    """Return an expression with one term in place of another."""
+    if key(expression) == key(term):
+        return other
+    return expression._replace(parts=tuple(_exchanged(part, term, other) for part in expression.parts))
 
 
 def unified(change: Change, term: Expression) -> Expression | None:

@@ -111,7 +111,8 @@ class ValueSets:
     """The values of each fluent; `exceeded` are fluents of which different values have become one."""
 
     values: dict[Fluent, set[Value]]
-    initial: Mapping[Fluent, Value]
+    initial: dict[Fluent, Value] = field(default_factory=dict)
+    """The values with which the fluents begin; like `values`, it has the values that stand for the others."""
     exceeded: set[Fluent] = field(default_factory=set)
     limited: set[Fluent] = field(default_factory=set)
     """Fluents of which a value outside of the proven range has been left out."""
@@ -304,7 +305,7 @@ def computed(
     begin = dict(initial)
     for change in changes:
         begin.setdefault(change.fluent, None)
-    found = ValueSets({fluent: set() for fluent in begin}, begin)
+    found = ValueSets({fluent: set() for fluent in begin})
     sizes = {fluent: min(limit, 50) for fluent in begin}
     rules = [_Rule(change, sizes, together) for change in changes]
     readers: dict[Fluent, list[_Rule]] = defaultdict(list)
@@ -314,17 +315,23 @@ def computed(
     waiting: list[tuple[Fluent, Value]] = []
     steps = position = 0
 
+    def normal(fluent: Fluent, value: Value) -> Value:
+        """Return the value that stands for one with which a fluent begins, or which it gets."""
+        saturation = saturations.get(fluent)
+        if value is None or saturation is None:
+            return value
+        after = saturation.normal(value)
+        if after != value:
+            found.exceeded.add(fluent)
+        return after
+
     def reached(fluent: Fluent, value: Value) -> None:
         if value is not None:
             low, high = ranges.get(fluent, (None, None))
             if (low is not None and value < low) or (high is not None and value > high):
                 found.limited.add(fluent)
                 return
-            if (saturation := saturations.get(fluent)) is not None:
-                normal = saturation.normal(value)
-                if normal != value:
-                    found.exceeded.add(fluent)
-                value = normal
+        value = normal(fluent, value)
         if value not in found.values[fluent]:
             own = trial if position and fluent[0] in tried else None
             long = value is not None and max(abs(value.numerator), value.denominator) > LONGEST
@@ -343,6 +350,7 @@ def computed(
             waiting.append((fluent, value))
 
     for fluent, value in begin.items():
+        found.initial[fluent] = normal(fluent, value)
         if found.unbounded is None:
             reached(fluent, value)
     for rule in rules:

@@ -1,0 +1,103 @@
+"""Instances whose costs were computed against their meaning, with the right ones: of each state, and of a plan."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from planner import load, sweep
+from planner.pddl.plan_execution import execute
+
+pytestmark = pytest.mark.cases
+
+COUNTER = "(:predicates (q)) (:functions (n)) (:action a :effect (and (q) (increase (n) 1)))"
+FALLING = "(:predicates (q)) (:functions (n)) (:action a :precondition (<= (n) -1) :effect (and (q) (decrease (n) 2)))"
+DERIVED = "(:predicates (q) (full)) (:functions (n)) (:derived (full) (> (n) 3)) "
+PARTS = "(:types part) (:functions (made ?p - part) (wanted ?p - part)) "
+BEYOND = {
+    "one number": (COUNTER, "(:init (= (n) 5)) (:goal (and (q) (>= (n) 3)))", 1),
+    "one that falls": (FALLING, "(:init (= (n) -2.5)) (:goal (q))", 1),
+    "a derived predicate": (
+        DERIVED + "(:action a :precondition (full) :effect (and (q) (increase (n) 1)))",
+        "(:init (= (n) 5)) (:goal (and (q) (full)))", 1,
+    ),
+    "one of two": (
+        PARTS + "(:action run :effect (forall (?p - part) (increase (made ?p) 1)))",
+        "(:objects bolt nut - part) (:init (= (made bolt) 0) (= (wanted bolt) 2) (= (made nut) 3) (= (wanted nut) 1)) "
+        "(:goal (forall (?p - part) (>= (made ?p) (wanted ?p))))", 2,
+    ),
+    "one that is assigned": (
+        "(:functions (n)) (:action a :precondition (> (n) 3) :effect (assign (n) 1)) (:action b :effect (increase (n) "
+        "1))", "(:init (= (n) 9)) (:goal (< (n) 3))", 1,
+    ),
+}  # fmt: skip
+"""Numbers that begin beyond the last threshold at which they are compared."""
+
+
+def durative(condition: str, effects: str, duration: str = "1") -> str:
+    return (f"(:types o) (:predicates (p ?x - o)) (:functions (f ?x - o) (g ?x - o)) (:durative-action go :parameters "
+            f"(?a - o) :duration (= ?duration {duration}) :condition (at start {condition}) :effect (and {effects})) "
+            "(:durative-action down :parameters (?a - o) :duration (= ?duration 1) :condition (at start (>= (f ?a) 1)) "
+            ":effect (at start (decrease (f ?a) 1)))")  # fmt: skip
+
+
+SMALL = "(<= (f ?a) 3)"
+UP = "(at start (increase (f ?a) 1))"
+TWO = "(:objects a b - o) (:init (= (f a) 0) (= (f b) 0) (= (g a) 0) (= (g b) 0)) (:goal {})"
+STARTED = {
+    "a fact": (durative(SMALL, f"{UP} (at end (forall (?x - o) (when (>= (f ?x) 1) (p ?x))))"), TWO.format("(p a)"), 1),
+    "a condition at end": (
+        durative(SMALL, f"{UP} (forall (?x - o) (when (at end (>= (f ?x) 1)) (at end (p ?x))))"),
+        TWO.format("(p a)"), 1,
+    ),
+    "a comparison that is not satisfied": (
+        durative(SMALL, f"{UP} (at end (forall (?x - o) (when (not (>= (f ?x) 1)) (p ?x))))"),
+        TWO.format("(and (p a) (not (p b)))"), 1,
+    ),
+    "a number": (
+        durative(SMALL, f"{UP} (at end (forall (?x - o) (when (>= (f ?x) 1) (assign (g ?x) 1))))"),
+        TWO.format("(and (>= (g a) 1) (<= (g b) 0))"), 1,
+    ),
+    "an assignment": (
+        durative(SMALL, "(at start (assign (f ?a) 2)) (at end (forall (?x - o) (when (= (f ?x) 2) (p ?x))))"),
+        TWO.format("(p b)"), 1,
+    ),
+    "numbers of all objects": (
+        durative("(forall (?x - o) (<= (f ?x) 3))", "(at start (forall (?x - o) (increase (f ?x) 1))) (at end (forall "
+                 "(?x - o) (when (>= (f ?x) 1) (p ?x))))"), TWO.format("(and (p a) (p b))"), 1,
+    ),
+    "a number that falls": (
+        durative("(>= (f ?a) 1)", "(at start (decrease (f ?a) 1)) (at end (forall (?x - o) (when (>= (f ?x) 1) "
+                 "(p ?x))))"), "(:objects a - o) (:init (= (f a) 1)) (:goal (p a))", math.inf,
+    ),
+}  # fmt: skip
+"""Changes at the start of an action, which conditions within forall read at its end."""
+
+DURATIONS = {
+    "read before the start": (
+        "(:types o) (:predicates (done)) (:functions (f ?x - o)) (:durative-action go :parameters (?a - o) :duration "
+        "(at end (= ?duration (f ?a))) :condition (at start (<= (f ?a) 3)) :effect (and (at start (increase (f ?a) 1)) "
+        "(at end (done))))", "(:objects a - o) (:init (= (f a) 2)) (:goal (done))", 2,
+    ),
+}  # fmt: skip
+"""Durations that are stated at the end."""
+
+CASES = {
+    f"{kind}: {name}": case
+    for kind, cases in {"beyond": BEYOND, "started": STARTED, "duration": DURATIONS}.items()
+    for name, case in cases.items()
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_costs_are_those_of_the_meaning(tmp_path: Path, case: tuple[str, str, float]) -> None:
+    domain, problem, cost = case
+    (tmp_path / "domain.pddl").write_text(f"(define (domain d)\n{domain})")
+    (tmp_path / "p.pddl").write_text(f"(define (problem p) (:domain d)\n{problem})")
+    task = load(tmp_path / "p.pddl")
+    table = sweep(task)
+    assert table[table.initial] == cost
+    if (plan := table.optimal_plan()) is not None:
+        assert execute(task.instance, plan).cost == cost
