@@ -5,6 +5,7 @@ supertype may belong to the subtype. The formulas are rewritten without construc
 
 - no two quantifiers of an action bind variables of the same name, nor of the name of a parameter;
 - `(either ...)` is replaced by a type of its own;
+- no quantifier is over a type without objects, once these are known (see `reader`);
 - `()` is written as `(and)`, and a cost is a whole number or a function;
 - `when` occurs inside `forall`, never around it.
 """

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from . import declarations, instance_finder, instances
@@ -150,11 +150,43 @@ def read(instance: Instance) -> Reading:
     unions: dict[tuple[str, ...], str] = {}
     known, derived, numeric = _domain(instance.domain, domain, unions)
     asked, numbers = _problem(instance, problem, known, derived, unions)
-    reading = Reading(instance, known, asked, unions, numeric or numbers)
+    reading = _without_empty_types(Reading(instance, known, asked, unions, numeric or numbers))
     if not reading.numeric:
         for action in known.actions.values():
             _check_repeated(reading, action)
     return reading
+
+
+def _without_empty_types(reading: Reading) -> Reading:
+    """Return a reading in which no quantifier is over a type without objects, which readers treat differently.
+
+    What is for all of no objects holds, as an effect it is none; what is for some of them does not hold.
+    """
+    domain, problem = reading.domain, reading.problem
+    objects = {**domain.constants, **problem.objects}.values()
+    named = {union: kinds for kinds, union in reading.unions.items()}
+
+    def empty(kind: Expression) -> bool:
+        kinds = named.get(kind.word, (kind.word,))
+        return not any(domain.types.fits(each.kinds[0], kinds) for each in objects)
+
+    def decided(formula: Expression) -> Expression:
+        if formula.head in ("forall", "exists") and any(map(empty, formula.parts[1].parts[2::3])):
+            return listed(word("and" if formula.head == "forall" else "or"))
+        return formula._replace(parts=tuple(map(decided, formula.parts))) if formula.parts else formula
+
+    def entry(each: Action | DurativeAction | Rule) -> Action | DurativeAction | Rule:
+        if isinstance(each, Rule):
+            return replace(each, condition=decided(each.condition))
+        effect = decided(each.effect)
+        if isinstance(each, Action):
+            return replace(each, precondition=decided(each.precondition), effect=effect)
+        return replace(each, condition=decided(each.condition), effect=effect)
+
+    entries = tuple(map(entry, domain.entries))
+    return replace(
+        reading, domain=replace(domain, entries=entries), problem=replace(problem, goal=decided(problem.goal))
+    )
 
 
 def _check_repeated(reading: Reading, action: Action) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 
-from .conditions import TRUE, conjunction, normal_form, quantified, substituted, variables_of
+from .conditions import FALSE, TRUE, conjunction, normal_form, quantified, substituted, variables_of
 from .declarations import Typed, refuse
 from .formulas import CHANGES, listed, word
 from .instances import Expression, Place
@@ -137,7 +137,10 @@ class _Reader:
             time = {"all": OVER}.get(condition.parts[1].word, condition.parts[1].word)
             yield time, normal_form(condition.parts[2], self.objects)
         else:
-            parts = condition.parts[1:] if head == "or" else condition.parts[2:]
+            parts = [each for each in condition.parts[1 if head == "or" else 2 :] if each != FALSE]
+            if not parts:
+                yield START, FALSE
+                return
             times = {time for part in parts for time, _ in self._by_time(part)}
             if len(times) != 1:
                 written = next((each for each in condition.walk() if each.place.line), condition)

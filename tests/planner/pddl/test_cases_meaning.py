@@ -84,9 +84,43 @@ DURATIONS = {
 }  # fmt: skip
 """Durations that are stated at the end."""
 
+TYPES = "(:types a b) (:predicates (s) (q) (r ?x - b)) "
+LIKE = "(:objects o - a) (:init (s)) (:goal (q))"
+COUNTED = TYPES + "(:functions (n)) (:action go :precondition (<= (n) 3) :effect (increase (n) 1))"
+WANTED = "(:objects o - a) (:init (s) (= (n) 0)) (:goal (and (>= (n) 1) {}))"
+EMPTY = {
+    "some, in a precondition": (
+        TYPES + "(:action go :precondition (exists (?x - b) (and)) :effect (q))", LIKE, math.inf
+    ),
+    "all, in a precondition": (
+        TYPES + "(:action go :precondition (forall (?x - b) (or)) :effect (q))", LIKE, 1
+    ),
+    "not all, around an effect": (
+        TYPES + "(:action go :effect (when (not (forall (?x - b) (and))) (q)))", LIKE, math.inf
+    ),
+    "some, in a derived predicate": (
+        TYPES + "(:derived (r ?y - b) (s)) (:derived (q) (exists (?x - b) (and)))", LIKE, math.inf
+    ),
+    "some of two types": (
+        TYPES + "(:action go :precondition (exists (?x - a ?y - (either b)) (s)) :effect (q))", LIKE, math.inf
+    ),
+    "some, in a goal with numbers": (COUNTED, WANTED.format("(exists (?x - b) (s))"), math.inf),
+    "not all, in a goal with numbers": (COUNTED, WANTED.format("(not (forall (?x - b) (not (s))))"), math.inf),
+    "all, in a goal with numbers": (COUNTED, WANTED.format("(forall (?x - b) (q))"), 1),
+    "some, in a durative action": (
+        TYPES + "(:durative-action go :parameters () :duration (= ?duration 1) :condition (exists (?x - b) (at end "
+        "(and))) :effect (at end (q)))", LIKE, math.inf,
+    ),
+    "some or another, in a durative action": (
+        TYPES + "(:durative-action go :parameters () :duration (= ?duration 1) :condition (or (exists (?x - b) (at "
+        "start (s))) (over all (s))) :effect (at end (q)))", LIKE, 1,
+    ),
+}  # fmt: skip
+"""Quantifiers over a type without objects."""
+
 CASES = {
     f"{kind}: {name}": case
-    for kind, cases in {"beyond": BEYOND, "started": STARTED, "duration": DURATIONS}.items()
+    for kind, cases in {"beyond": BEYOND, "started": STARTED, "duration": DURATIONS, "empty": EMPTY}.items()
     for name, case in cases.items()
 }
 
