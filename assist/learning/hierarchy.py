@@ -1,34 +1,43 @@
 """A hierarchical model of many people: expertise, influence and weights of terms, drawn from one population.
 
 Each person's coordinates (`logit_likelihood`) are drawn from independent normal distributions. Their means and spreads
-maximise the marginal likelihood of all choices; integrals over a person's coordinates are Laplace approximations
-(empirical Bayes; EM as in Lindstrom and Bates 1990). A person's estimate is the mode of the posterior, which is near
-the population's mean if there are few choices. A person's interval is that of the profile likelihood of their own
-choices. It is wider than a posterior interval, but has its coverage for any population; a posterior interval has it on
-average over people of the population only.
+maximise the marginal likelihood of all choices (empirical Bayes; EM as in Lindstrom and Bates 1990). Integrals over
+theta are sums over nodes, as trust that reaches 0 or 1 makes several maxima; those over a person's other coordinates
+are Laplace approximations. A person's estimate is the mode of the posterior, which is near the population's mean if
+there are few choices. A person's interval is that of the profile likelihood of their own choices. It is wider than a
+posterior interval, but has its coverage for any population; a posterior interval has it on average over people of the
+population only.
 
-The learning rate eta is the same for all people.
+The learning rate eta is the same for all people, and maximises the same marginal likelihood. People's intervals are
+those with this rate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import logsumexp
 
 from planner.system.arrays import read_only
 from planner.system.results import ByContent
 
 from ..people.decision import NOTHING, Floats
-from .intervals import largest_fall
+from .intervals import end_of, largest_fall, outwards
 from .likelihood import Method
 from .logit_likelihood import BETA, FIRST_TERM, THETA, Likelihood, Prior, maximise
 from .observations import Observations
 from .person_estimate import Estimate, PersonEstimate
 
-RATES = np.linspace(0.0, 1.0, 11)  # of trust that are tried
+RATES = np.linspace(0.0, 1.0, 41)
+"""Learning rates that are tried before the best is refined."""
+
+WHOLE = 3
+"""EM steps in which all `RATES` are tried."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,6 +55,8 @@ class Hierarchy(ByContent):
         Standard deviations of each person's posterior.
     evidence : float
         Marginal log-likelihood of all choices.
+    rate : Estimate, optional
+        Of the learning rate, which is that of the likelihood, with its likelihood-ratio interval; None if it is known.
     """
 
     likelihood: Likelihood
@@ -54,12 +65,15 @@ class Hierarchy(ByContent):
     at: Floats
     deviation: Floats
     evidence: float
+    rate: Estimate | None = None
 
     def __post_init__(self) -> None:
         read_only(self)
 
 
-def fit_hierarchy(likelihood: Likelihood, rounds: int = 60) -> Hierarchy:
+def fit_hierarchy(
+    likelihood: Likelihood, rounds: int = 60, *, known: bool = True, near: Hierarchy | None = None
+) -> Hierarchy:
     """Return the estimates of a population and its people.
 
     Parameters
@@ -67,33 +81,70 @@ def fit_hierarchy(likelihood: Likelihood, rounds: int = 60) -> Hierarchy:
     likelihood : Likelihood
     rounds : int
         Largest number of EM steps.
+    known : bool
+        Whether the learning rate is the likelihood's; otherwise the one of largest marginal likelihood is found.
+    near : Hierarchy, optional
+        Where to begin; with what is best for all people together unless given.
     """
-    low, high = likelihood.ranges.low, likelihood.ranges.high
-    people, size = len(likelihood.people), len(low)
-    third = (high - low) / 3
-    _, together = pooled(likelihood)
-    mean, spread = together[0], third / 2
-    at, fixed = np.repeat(together, people, axis=0), fixed_of(likelihood, people)
-    for _ in range(rounds):
-        prior = Prior(mean, spread**-2)
-        at, value, curvature = maximise(likelihood, at, fixed, prior, 20)
-        variance = np.linalg.inv(curvature)
-        own = np.diagonal(variance, axis1=1, axis2=2)
-        before = mean, spread
+    people, size = len(likelihood.people), len(likelihood.ranges.low)
+    third = (likelihood.ranges.high - likelihood.ranges.low) / 3
+    told, known = likelihood.steps.told, known or not likelihood.steps.told
+    if near is None:
+        likelihood, together = pooled(likelihood, known=known)
+        mean, spread, at = together[0], third / 2, np.repeat(together, people, axis=0)
+    else:
+        mean, spread, at = near.mean, near.spread, near.at
+    fixed, width = fixed_of(likelihood, people), RATES[1]
+    for number in range(rounds):
+        before, rate = (mean, spread), likelihood.eta
+        at, _, curvature = maximise(likelihood, at, fixed, Prior(mean, spread**-2), 20)
+        if not known:
+            tried = RATES if number < WHOLE else np.clip(rate + width * np.linspace(-1.0, 1.0, 5), 0.0, 1.0)
+            logs = _over_theta(likelihood, at, mean, spread, tried)[0].sum(axis=0)
+            likelihood = replace(likelihood, eta=float(tried[logs.argmax()]))
+            width *= 0.5 if number >= WHOLE and logs.argmax() == 2 else 1.0
+        centre, own = at, np.diagonal(np.linalg.inv(curvature), axis1=1, axis2=2)
+        if told:
+            centre, own = at.copy(), own.copy()
+            _, mass = _over_theta(likelihood, at, mean, spread, np.array([likelihood.eta]))
+            nodes = likelihood.ranges.thetas()
+            centre[:, THETA] = mass[:, 0] @ nodes
+            own[:, THETA] = mass[:, 0] @ nodes**2 - centre[:, THETA] ** 2
         # Weights are 0 rather than anything far from it, and as if one more person were near the others.
         towards = np.where(np.arange(size) >= FIRST_TERM, (spread / third) ** 2, 0.0)
-        mean = at.sum(axis=0) / (people + towards)
+        mean = centre.sum(axis=0) / (people + towards)
         # A population is never narrower than a twentieth of a third of the range.
-        scatter = ((at - mean) ** 2 + own).sum(axis=0) + (0.05 * third) ** 2
+        scatter = ((centre - mean) ** 2 + own).sum(axis=0) + (0.05 * third) ** 2
         spread = np.sqrt(scatter / (people + 1))
-        if np.allclose(np.concatenate(before), np.concatenate([mean, spread]), atol=1e-3):
+        same = np.allclose(np.concatenate(before), np.concatenate([mean, spread]), atol=1e-3)
+        if same and (known or (number >= WHOLE and width < 1e-3)):
             break
     prior = Prior(mean, spread**-2)
     at, value, curvature = maximise(likelihood, at, fixed, prior)
-    _, logarithm = np.linalg.slogdet(curvature)
-    evidence = value - logarithm / 2 - np.log(spread).sum()
     own = np.diagonal(np.linalg.inv(curvature), axis1=1, axis2=2)
+    if told:  # theta on nodes, the other coordinates by Laplace's approximation
+        value = _over_theta(likelihood, at, mean, spread, np.array([likelihood.eta]))[0][:, 0]
+        others = np.arange(size) != THETA
+        value = value - (prior.precision * (at - mean) ** 2)[:, others].sum(axis=1) / 2
+        curvature, spreads = curvature[:, others][:, :, others], spread[others]
+    else:
+        spreads = spread
+    evidence = value - np.linalg.slogdet(curvature)[1] / 2 - np.log(spreads).sum()
     return Hierarchy(likelihood, mean, spread, at, np.sqrt(own), float(evidence.sum()))
+
+
+def _over_theta(
+    likelihood: Likelihood, at: Floats, mean: Floats, spread: Floats, rates: Floats
+) -> tuple[Floats, Floats]:
+    """Return the mean likelihood of each person over theta, (K, E), as a logarithm, and the shares of nodes, (K, E, T).
+
+    The other coordinates are those of `at`, shape (K, P). Theta is normal in the population.
+    """
+    nodes = likelihood.ranges.thetas()
+    prior = -(((nodes - mean[THETA]) / spread[THETA]) ** 2) / 2
+    logs = likelihood.by_trust(at, nodes, rates) + prior - logsumexp(prior)
+    total = logsumexp(logs, axis=2)
+    return total, np.exp(logs - total[:, :, None])
 
 
 def pooled(
@@ -124,13 +175,37 @@ def pooled(
     if near is None:
         near = np.zeros((1, len(likelihood.ranges.low)))
         near[:, BETA] = likelihood.ranges.high[BETA] / 2
-    at = np.where(fixed, 0.0, near)
-    found: list[tuple[float, float, Floats]] = []
-    for rate in [likelihood.eta] if known or not likelihood.steps.told else RATES.tolist():
-        at, value, _ = maximise(replace(together, eta=rate), at, fixed)
-        found.append((float(value[0]), rate, at))
-    _, rate, at = max(found, key=lambda one: one[0])
-    return replace(likelihood, eta=rate), at
+    at, _, _ = maximise(together, np.where(fixed, 0.0, near), fixed)
+    if known or not likelihood.steps.told:
+        return likelihood, at
+    best = Maximum(-np.inf, likelihood.eta, at)
+
+    def loss(rate: float) -> float:
+        nonlocal best
+        at, value, _ = maximise(replace(together, eta=rate), best.at, fixed)
+        best = max(best, Maximum(float(value[0]), rate, at), key=lambda one: one.value)
+        return -float(value[0])
+
+    while True:  # the rates that are likely with the other coordinates as they are
+        before = best.value
+        values = together.by_trust(best.at, together.ranges.thetas(), RATES)[0].max(axis=1)
+        padded = np.pad(values, 1, constant_values=-np.inf)
+        peaks = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
+        for place in peaks[np.argsort(-values[peaks])][:3]:
+            loss(float(RATES[place]))
+        if best.value < before + 1e-3:
+            break
+    ends = np.clip([best.rate - RATES[1], best.rate + RATES[1]], 0.0, 1.0)
+    minimize_scalar(loss, bounds=ends, method="bounded", options={"xatol": 1e-4})
+    return replace(likelihood, eta=best.rate), best.at
+
+
+class Maximum(NamedTuple):
+    """The largest log-likelihood that was found, with the learning rate and the coordinates."""
+
+    value: float
+    rate: float
+    at: Floats
 
 
 def fixed_of(likelihood: Likelihood, people: int) -> NDArray[np.bool_]:
@@ -138,14 +213,6 @@ def fixed_of(likelihood: Likelihood, people: int) -> NDArray[np.bool_]:
     fixed = np.zeros((people, len(likelihood.ranges.low)), dtype=bool)
     fixed[:, THETA] = not likelihood.steps.told
     return fixed
-
-
-def with_rate(likelihood: Likelihood, method: Method) -> Likelihood:
-    """Return the likelihood with the best learning rate of `RATES` for all people, unless it is known."""
-    if method.eta is not None or not likelihood.steps.told:
-        return likelihood
-    found = [fit_hierarchy(replace(likelihood, eta=rate), 5).evidence for rate in RATES.tolist()]
-    return replace(likelihood, eta=float(RATES[int(np.argmax(found))]))
 
 
 def intervals(likelihood: Likelihood, near: Floats, level: float) -> tuple[Floats, Floats, Floats]:
@@ -168,13 +235,6 @@ def intervals(likelihood: Likelihood, near: Floats, level: float) -> tuple[Float
     people, size = near.shape
     fixed = fixed_of(likelihood, people)
     at, best, curvature = maximise(likelihood, near, fixed)
-    for other in (-3.0, 3.0) if likelihood.steps.told else ():  # trust that reaches 0 or 1 may make several maxima
-        begin = near.copy()
-        begin[:, THETA] = other
-        tried = maximise(likelihood, begin, fixed)
-        better = tried[1] > best
-        at, best = np.where(better[:, None], tried[0], at), np.where(better, tried[1], best)
-        curvature = np.where(better[:, None, None], tried[2], curvature)
     wanted = float(np.sqrt(2 * largest_fall(level)))
     width = np.sqrt(np.diagonal(np.linalg.pinv(curvature + 1e-9 * np.eye(size)), axis1=1, axis2=2))
     ends = [
@@ -233,17 +293,32 @@ def fit_terms(observations: Sequence[Observations], method: Method) -> tuple[lis
         Observations of each person, all with the same terms.
     method : Method
     """
-    likelihood = with_rate(Likelihood.of(observations, method), method)
-    found = fit_hierarchy(likelihood)
+    found = fit_hierarchy(Likelihood.of(observations, method), known=method.eta is not None)
+    likelihood = found.likelihood
+    if method.eta is None and likelihood.steps.told:
+        found = replace(found, rate=_rate(found, method.level))
     low, high, _ = intervals(likelihood, found.at, method.level)
     value = likelihood.derivatives(found.at)[0]
     fits = []
     for k, o in enumerate(observations):
         every = [_estimate(likelihood, axis, found.at[k], low[k], high[k]) for axis in range(len(found.mean))]
-        estimates = {"beta": every[BETA]} | ({"theta": every[THETA]} if (o.suggested != NOTHING).any() else {})
+        estimates = {"beta": every[BETA]}
+        if (o.suggested != NOTHING).any():
+            estimates |= {"theta": every[THETA]} | ({} if found.rate is None else {"eta": found.rate})
         estimates |= zip(o.terms, every[FIRST_TERM:], strict=True)
-        fits.append(PersonEstimate(o, estimates, float(value[k]), likelihood.eta, method))
+        fits.append(PersonEstimate(o, estimates, float(value[k]), method.eta, method))
     return fits, found
+
+
+def _rate(found: Hierarchy, level: float) -> Estimate:
+    """Return the learning rate of all people, with the interval of the profile of the marginal likelihood."""
+    least, rate = found.evidence - largest_fall(level), found.likelihood.eta
+
+    def margin(value: float) -> float:
+        return fit_hierarchy(replace(found.likelihood, eta=value), 5, near=found).evidence - least
+
+    (low, below), (high, above) = (end_of(margin, rate, outwards(rate, end), 1e-3, 1e-3) for end in (0.0, 1.0))
+    return Estimate(rate, (low, high), below, above)
 
 
 def _estimate(likelihood: Likelihood, axis: int, at: Floats, low: Floats, high: Floats) -> Estimate:

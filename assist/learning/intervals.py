@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from statistics import NormalDist
@@ -115,6 +115,15 @@ def end_of(
             return float(scipy.optimize.brentq(known, inside, outside, xtol=tolerance, rtol=relative)), False
         inside = outside
     return inside, True
+
+
+def outwards(value: float, end: float) -> Iterator[float]:
+    """Yield values from one up to an end, in steps that double."""
+    step = math.copysign(0.02 + 0.2 * abs(value), end - value)
+    while value != end:
+        value = min(value + step, end) if step > 0 else max(value + step, end)
+        yield value
+        step *= 2
 
 
 def equal_tailed(nodes: Floats, mass: Floats, level: float) -> Interval:

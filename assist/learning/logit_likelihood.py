@@ -25,7 +25,7 @@ from planner.system.arrays import frozen
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
-from .likelihood import SMALL, Method, largest_beta
+from .likelihood import SMALL, SURE, Method, largest_beta
 from .observations import Ints, Observations
 
 COMPILED_FOR = "estimates of terms: about ten seconds"
@@ -33,7 +33,10 @@ COMPILED_FOR = "estimates of terms: about ten seconds"
 BETA, THETA, FIRST_TERM = 0, 1, 2
 """Indices of the coordinates of beta, theta and the first term; those of other terms follow."""
 
-CERTAIN = 1e-9  # smallest distance of theta to 0 and 1 in the logit
+CERTAIN = 1e-9  # smallest distance of theta to 0 and 1 in the derivative of its logit
+
+THETAS = 81
+"""Nodes of theta at which searches look for a better one: 0.17 log-odds apart."""
 
 
 class Steps(NamedTuple):
@@ -111,6 +114,10 @@ class Ranges:
         # The largest weight gives log-odds of 12 to a typical difference of a term between two choices.
         ends = np.array([logit(1 - SMALL), *(12.0 / size for size in usual)])
         return cls(small, np.array([0.0, *-ends]), np.array([np.log1p(largest / small), *ends]))
+
+    def thetas(self) -> Floats:
+        """Return nodes of the coordinate of theta, shape (T,)."""
+        return np.linspace(self.low[THETA], self.high[THETA], THETAS)
 
     def beta(self, coordinate: Floats) -> Floats:
         """Return beta for values of its coordinate."""
@@ -203,6 +210,20 @@ class Likelihood:
         value = np.asarray(np.bincount(self.steps.person, chosen, len(at)), dtype=np.float64)
         return value, gradient, curvature
 
+    def by_trust(self, at: Floats, theta: Floats, rates: Floats) -> Floats:
+        """Return each person's log-likelihood for each learning rate and theta, shape (K, E, T).
+
+        Parameters
+        ----------
+        at : float array, shape (K, P)
+            Coordinates of which all but theta are used.
+        theta : float array, shape (T,)
+            Coordinates of theta.
+        rates : float array, shape (E,)
+        """
+        bounds = np.searchsorted(self.steps.person, np.arange(len(at) + 1))
+        return _by_trust(at, bounds, self.steps, self.ranges.small, self.lapse, expit(theta), rates)
+
     def _evaluate(self, at: Floats, who: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
         bounds = np.searchsorted(self.steps.person, np.arange(len(at) + 1))
         return _evaluate(at.copy(), who, bounds, self.steps, self.ranges.small, self.lapse, self.eta)
@@ -233,8 +254,8 @@ def _evaluate(
             if told:
                 if begins[i]:
                     theta, depends = first, True
+                own[THETA] = np.log(max(theta, SURE) / max(1.0 - theta, SURE))
                 kept = min(max(theta, CERTAIN), 1.0 - CERTAIN)
-                own[THETA] = np.log(kept / (1.0 - kept))
                 slope[THETA] = first * (1.0 - first) / (kept * (1.0 - kept)) if depends else 0.0
                 if eta != 0.0 and gain[i] != 0.0:
                     theta += eta * gain[i]
@@ -276,6 +297,60 @@ def _evaluate(
     return logs, gradient, curvature
 
 
+@njit()
+def _by_trust(
+    at: Floats, bounds: Ints, steps: Steps, small: float, lapse: float, first: Floats, rates: Floats
+) -> Floats:
+    """Return log-likelihoods for E rates and T values of theta at the beginning of an episode, shape (K, E, T)."""
+    _, speaks, possible, options, chosen, gain, begins, _ = steps
+    total = np.zeros((len(at), len(rates), len(first)))
+    theta, product = np.empty((len(rates), len(first))), np.empty((len(rates), len(first)))
+    p = np.empty(speaks.shape[1])
+    most = max(1, int(200.0 / -np.log10(lapse / max(1, options.max()))))  # so many factors do not underflow
+    for k in range(len(at)):
+        beta, silent, since = small * np.expm1(at[k, BETA]), 0.0, 0
+        product[:] = 1.0
+        for i in range(bounds[k], bounds[k + 1]):
+            if begins[i]:
+                theta[:] = first
+            top, heard = -np.inf, -1
+            for a in range(options[i]):
+                p[a] = -np.inf
+                if speaks[i, a, THETA] != 0.0:
+                    heard = a
+                if possible[i, a]:
+                    p[a] = beta * speaks[i, a, BETA]
+                    for c in range(FIRST_TERM, at.shape[1]):
+                        p[a] += at[k, c] * speaks[i, a, c]
+                    top = max(top, p[a])
+            heed = others = 0.0
+            for a in range(options[i]):
+                p[a] = np.exp(p[a] - top)
+                if a == heard:
+                    heed = p[a]
+                else:
+                    others += p[a]
+            picked, share = (1.0 - lapse) * p[chosen[i]], lapse / options[i]
+            if heard < 0:
+                silent += np.log(picked / others + share)
+                continue
+            follows = chosen[i] == heard
+            for e in range(len(rates)):
+                for t in range(len(first)):
+                    sure, other = max(theta[e, t], SURE), max(1.0 - theta[e, t], SURE)
+                    product[e, t] *= picked * (sure if follows else other) / (sure * heed + other * others) + share
+                if rates[e] != 0.0 and gain[i] != 0.0:
+                    for t in range(len(first)):
+                        theta[e, t] = min(max(theta[e, t] + rates[e] * gain[i], 0.0), 1.0)
+            since += 1
+            if since == most:
+                total[k] += np.log(product)
+                product[:] = 1.0
+                since = 0
+        total[k] += np.log(product) + silent
+    return total
+
+
 @dataclass(frozen=True)
 class Prior:
     """Independent normal priors of the coordinates.
@@ -300,6 +375,8 @@ def maximise(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the coordinates of largest likelihood of all people, by Newton's method.
 
+    Trust that reaches 0 or 1 makes several maxima. So the search begins again where another node of theta is better.
+
     Parameters
     ----------
     likelihood : Likelihood
@@ -318,8 +395,31 @@ def maximise(
     curvature : float array, shape (K, P, P)
         Curvature of the same function.
     """
-    low, high = likelihood.ranges.low, likelihood.ranges.high
     prior = prior or Prior.none(start.shape[1])
+    at, value, curvature = _climbed(likelihood, start, fixed, prior, rounds)
+    if not likelihood.steps.told or likelihood.eta == 0.0 or fixed[:, THETA].all():
+        return at, value, curvature
+    nodes, rate = likelihood.ranges.thetas(), np.array([likelihood.eta])
+    falls = prior.precision[THETA] * (nodes - prior.mean[THETA]) ** 2 / 2
+    for _ in range(3):
+        off = np.delete(prior.precision * (at - prior.mean) ** 2, THETA, axis=1).sum(axis=1) / 2
+        values = likelihood.by_trust(at, nodes, rate)[:, 0] - falls - off[:, None]
+        jumps = (values.max(axis=1) > value + 1e-6) & ~fixed[:, THETA]
+        if not jumps.any():
+            break
+        begin = at.copy()
+        begin[jumps, THETA] = nodes[values[jumps].argmax(axis=1)]
+        new = _climbed(likelihood, begin, fixed | ~jumps[:, None], prior, rounds)
+        at, value = np.where(jumps[:, None], new[0], at), np.where(jumps, new[1], value)
+        curvature = np.where(jumps[:, None, None], new[2], curvature)
+    return at, value, curvature
+
+
+def _climbed(
+    likelihood: Likelihood, start: Floats, fixed: NDArray[np.bool_], prior: Prior, rounds: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return the local maximum that Newton's method reaches from a start, as `maximise` does."""
+    low, high = likelihood.ranges.low, likelihood.ranges.high
     unit = np.eye(start.shape[1])
 
     def value_at(at: Floats, who: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats, Floats]:

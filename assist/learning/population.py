@@ -151,10 +151,11 @@ def population_of(found: Hierarchy) -> PopulationFit:
         cells.append(_within(edges[axis], mean, spread))
         recorded = _within(edges[axis], found.at[:, axis, None], found.deviation[:, axis, None]).mean(axis=0)
         margins.append(Margin.of(family, (mean, spread), value(edges[axis]), cells[axis], recorded))
+    known = told and (found.rate is None or found.rate.identified)
     both = zip(found.mean[FIRST_TERM:].tolist(), found.spread[FIRST_TERM:].tolist(), strict=True)
     weights = dict(zip(likelihood.terms, both, strict=True))
     return PopulationFit(
-        len(likelihood.people), margins[0], margins[1] if told else None, likelihood.eta if told else None,
+        len(likelihood.people), margins[0], margins[1] if told else None, likelihood.eta if known else None,
         found.evidence, np.outer(cells[0], cells[1] if told else [1.0]), weights,
     )  # fmt: skip
 

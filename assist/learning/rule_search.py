@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import minimize
 
 from ..people.decision import Floats
 from .influence_population import InfluencePopulation
-from .intervals import Interval, end_of, largest_fall
+from .intervals import Interval, end_of, largest_fall, outwards
 from .likelihood_table import LikelihoodTable
 from .posterior_sample import PosteriorSample, posterior_covariance
 from .rule_families import RuleFamily
@@ -95,19 +94,10 @@ class RuleSearch:
                 near = at + covariance[j] / covariance[j, j] * (value - best[j])
                 return self._climbed(np.clip(near, low, high), list(zip(low, high, strict=True)), 0.05)[1] - least
 
-            low, high = (end_of(margin, best[j], _outwards(best[j], end), 1e-3, 1e-3)[0] for end in ends)
+            low, high = (end_of(margin, best[j], outwards(best[j], end), 1e-3, 1e-3)[0] for end in ends)
             found.append((low, high))
         return found
 
     def covariance(self, best: tuple[float, ...]) -> Floats:
         """Return the covariance of the parameters, (P, P); see `posterior_covariance`."""
         return posterior_covariance(self.value, np.array(best), self.ends)
-
-
-def _outwards(value: float, end: float) -> Iterator[float]:
-    """Yield values from one up to an end, in steps that double."""
-    step = math.copysign(0.02 + 0.2 * abs(value), end - value)
-    while value != end:
-        value = min(value + step, end) if step > 0 else max(value + step, end)
-        yield value
-        step *= 2

@@ -13,13 +13,16 @@ import pytest
 from conftest import KITTING, invoke, kit
 from recordings import board_of, make_up, moves_of, problem_text, read_all
 from scipy.optimize import minimize, minimize_scalar
+from scipy.special import expit, logsumexp
 from simulated_people import People, observed, record, record_with_terms
 
-from assist.learning import Log, Method, Observations, compare_models, fit, hierarchy, mixture
+from assist.learning import Log, Method, Observations, compare_models, fit, fit_population, hierarchy, mixture
 from assist.learning.comparison import folds_of
-from assist.learning.hierarchy import fit_hierarchy, intervals, pooled, with_rate
+from assist.learning.hierarchy import fit_hierarchy, fit_terms, intervals, pooled
+from assist.learning.likelihood_table import LikelihoodTable
 from assist.learning.logit_likelihood import BETA, THETA, Likelihood, maximise
 from assist.people import NOTHING, TERMS, Choices, Weighted, choice, influence, lapse, remembered
+from assist.people.trust_rules import EquationSeven
 from planner import Instance, Table, sweep
 from planner import load as load_task
 
@@ -164,19 +167,93 @@ def test_one_person_alone_is_fitted_by_their_own_actions() -> None:
     assert best[0] - 1 < person.log_likelihood <= best[0]
 
 
-def test_the_rate_of_trust_is_the_one_that_fits_best(monkeypatch: pytest.MonkeyPatch) -> None:
+@cache
+def trusting() -> tuple[Observations, ...]:
+    """Return what people did who differ in theta, and whose theta moves so fast that it reaches 1."""
+    rng = np.random.default_rng(5)
+    people = People(np.exp(rng.normal(-0.3, 0.3, 20)), rng.uniform(0.3, 0.8, 20), 0.25)
+    return tuple(observed(kit("tiny"), record(kit("tiny"), people, episodes=10, rng=rng, suggest=0.5, good=0.0)))
+
+
+def test_the_likelihood_on_nodes_of_theta_is_that_of_the_model() -> None:
     likelihood, _ = advised()
-    rates = (0.0, 0.1, 0.4)
-    monkeypatch.setattr(hierarchy, "RATES", np.array(rates))
-    found = with_rate(likelihood, Method())
-    evidence = {rate: fit_hierarchy(replace(likelihood, eta=float(rate)), 5).evidence for rate in rates}
-    assert found.eta == max(evidence, key=evidence.__getitem__)
-    assert with_rate(likelihood, Method(eta=0.1)) is likelihood
-    assert with_rate(alone(), Method()) is alone()
+    nodes, rates = np.array([-3.0, 0.4, 6.0]), np.array([0.0, 0.1, 0.7])
+    values = likelihood.by_trust(np.array([[4.0, 99.0, *WEIGHTS]]), nodes, rates)
+    assert values.shape == (1, 3, 3)
+    for e, rate in enumerate(rates.tolist()):
+        for t, node in enumerate(nodes.tolist()):
+            at = np.array([[4.0, node, *WEIGHTS]])
+            assert values[0, e, t] == pytest.approx(replace(likelihood, eta=rate).log_probability(at).sum(), abs=1e-9)
+
+
+def test_the_rate_of_trust_and_the_evidence_are_those_of_an_exact_sum() -> None:
+    """The marginal likelihood is compared with sums over nodes of both beta and theta."""
+    likelihood = Likelihood.of(trusting(), Method())
+    b = np.linspace(0.5, likelihood.ranges.high[BETA], 60)
+    t = np.linspace(likelihood.ranges.low[THETA], likelihood.ranges.high[THETA], 161)
+    table = LikelihoodTable.of(trusting(), Method(), likelihood.ranges.beta(b), expit(t))
+
+    def exact(found: hierarchy.Hierarchy) -> float:
+        logs = table.log_likelihood(EquationSeven(found.likelihood.eta), carry=False)
+        shares = []
+        for nodes, mean, spread in zip((b, t), found.mean, found.spread, strict=True):
+            density = -(((nodes - mean) / spread) ** 2) / 2
+            shares.append(density - logsumexp(density))
+        return float(logsumexp(logs + shares[0][:, None] + shares[1], axis=(1, 2)).sum())
+
+    found = fit_hierarchy(likelihood, known=False)
+    assert found.evidence == pytest.approx(exact(found), abs=1.0)
+    best = fit_population(trusting()).eta
+    assert best is not None
+    assert found.likelihood.eta == pytest.approx(best, abs=0.02)
+    for rate in (best - 0.05, best + 0.05):
+        other = fit_hierarchy(replace(likelihood, eta=rate))
+        assert other.evidence == pytest.approx(exact(other), abs=1.5)
+        assert other.evidence < found.evidence - 3
+
+
+def test_the_rate_of_trust_has_an_interval_also_beside_terms() -> None:
+    people, found = fit_terms(trusting(), Method())
+    assert found.rate is not None
+    low, high = found.rate.interval
+    assert low < found.likelihood.eta < high < low + 0.1
+    for end in (low, high):
+        at_end = fit_hierarchy(replace(found.likelihood, eta=end), 5, near=found).evidence
+        assert 2 * (found.evidence - at_end) == pytest.approx(3.841, abs=0.3)
+    assert [(one.eta, one.eta_interval) for one in people] == [(found.rate.value, (low, high))] * len(people)
+    people, found = fit_terms(trusting(), Method(eta=0.25))
+    assert (found.rate, people[0].eta, people[0].rate) == (None, None, 0.25)
+
+
+def test_nobody_is_left_on_a_lower_maximum() -> None:
+    likelihood = replace(Likelihood.of(trusting(), Method()), eta=0.3)
+    best = intervals(likelihood, np.tile([4.0, 0.0], (len(trusting()), 1)), 0.95)[2]
+    b = np.linspace(0.5, likelihood.ranges.high[BETA], 40)
+    t = np.linspace(likelihood.ranges.low[THETA], likelihood.ranges.high[THETA], 101)
+    table = LikelihoodTable.of(trusting(), Method(), likelihood.ranges.beta(b), expit(t))
+    nodes = table.log_likelihood(EquationSeven(0.3), carry=False).max(axis=(1, 2))
+    assert (best > nodes - 0.01).all()
+
+
+@pytest.mark.parametrize("some", [slice(0, 4), slice(4, 12), slice(12, 20), slice(0, 20)])
+def test_people_together_have_the_largest_likelihood(some: slice) -> None:
+    likelihood = Likelihood.of(trusting()[some], Method())
+    found, at = pooled(likelihood, known=False)
+    reached = found.together().log_probability(at).sum()
+    b, t = np.linspace(3.0, likelihood.ranges.high[BETA], 40), np.linspace(-3.0, 3.0, 121)
+    table = LikelihoodTable.of(trusting()[some], Method(), likelihood.ranges.beta(b), expit(t))
+    for rate in np.linspace(0.0, 1.0, 51).tolist():
+        assert reached > table.log_likelihood(EquationSeven(rate), carry=False).sum(axis=0).max() - 0.01
+
+
+def test_a_known_rate_of_trust_is_kept() -> None:
+    likelihood, _ = advised()
+    assert fit_hierarchy(likelihood).likelihood.eta == 0.1
+    assert fit_hierarchy(alone(), known=False).likelihood.eta == 0.0
     near = np.array([[4.0, 0.4, *WEIGHTS]])
-    low, high, value = intervals(found, near, 0.95)
+    low, high, value = intervals(likelihood, near, 0.95)
     assert (low <= high).all()
-    assert value >= found.log_probability(near).sum()
+    assert value >= likelihood.log_probability(near).sum()
 
 
 def test_whoever_is_predicted_was_not_seen() -> None:
