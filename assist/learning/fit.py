@@ -190,13 +190,13 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
     def simulated(self, setting: Setting) -> tuple[list[Human], Population, Setting]:
         """Return what a simulation of these people needs, as `Pool.of` does: they, others like them, and a setting.
 
-        The setting has the estimated rate of trust, eta, and its unit, unless it has a trust rule or a rate other than
-        the default.
+        The setting has the estimated rate of trust, eta, and its unit, unless it has a trust rule, also "paper", or a
+        rate other than the default.
         """
         distribution = self.distribution(progress=False)
         usual, eta = Setting(), distribution.eta
         own = (setting.eta, setting.utility_scale) != (usual.eta, usual.utility_scale)
-        if eta is not None and not own and setting.trust in (None, "paper"):
+        if eta is not None and not own and setting.trust is None:
             setting = replace(setting, eta=eta, utility_scale=self.method.utility_scale)
         return self._humans(None, lambda: distribution), self._like(distribution), setting
 

@@ -205,7 +205,7 @@ class Pool(Result):
         people : iterable of Human, mapping of names to Human, or FittedPeople
             People as they are in truth, such as `{"ann": Human(beta=1.2, theta=0.7)}`; or what `fit` returned, whose
             estimates are then taken for the truth: those of each person (`FittedPeople.humans`), and the rate of trust
-            unless the setting has a trust rule or another `eta` than the default.
+            unless the setting has a trust rule, also "paper", or another `eta` than the default.
         prior : Population, optional
             The robot's prior; by default the paper's, or the population of fitted people.
 

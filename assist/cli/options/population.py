@@ -44,7 +44,7 @@ def chosen_setting(kind: type[S], setting: Setting, given: Given[Any], *, rate: 
         raise click.UsageError(f"--population {file}: {error}") from None
     own = any(name in given for name in RATES)
     if rule is None:
-        fits = rate and not own and chosen.trust in (None, "paper")
+        fits = rate and not own and chosen.trust is None
         return replace(chosen, **estimated) if fits else chosen  # type: ignore[arg-type]
     for name in ("trust", *RATES):
         if name in given:

@@ -246,7 +246,7 @@ def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_pat
     setting, results = simulated("--population", file)
     assert (setting["eta"], setting["utility_scale"]) == (0.9, 2.0)
     assert results == simulated("--population", without, "--set", "eta=0.9", "--set", "utility_scale=2.0")[1]
-    for options in (("--set", "eta=0.2"), ("--trust", "constant")):
+    for options in (("--set", "eta=0.2"), ("--trust", "constant"), ("--trust", "paper")):
         setting, results = simulated("--population", file, *options)
         assert (setting["eta"], setting["utility_scale"]) == (0.2, 1.0)
         assert results == simulated("--population", without, *options)[1]

@@ -484,7 +484,7 @@ def test_fitted_people_are_simulated_with_their_rate_of_trust(tiny: Table, of_tw
     """Unless the setting has a rule or a rate of its own."""
     setting = Pool.of(tiny, of_two, setting=Setting(c_suggest=0.3)).setting
     assert (setting.c_suggest, setting.eta, setting.utility_scale) == (0.3, 0.05, 2.0)
-    for own in (Setting(eta=0.4), Setting(trust="constant")):
+    for own in (Setting(eta=0.4), Setting(trust="constant"), Setting(trust="paper")):
         assert Pool.of(tiny, of_two, setting=own).setting == own
 
 
