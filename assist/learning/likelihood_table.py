@@ -70,7 +70,7 @@ class LikelihoodTable(ByContent):
         What each person saw of neighbours.
     silences : int array, shape (K, H + 1, 2)
         Number of steps without a suggestion before each suggestion, in earlier episodes and in its own; at last those
-        after the last suggestion.
+        after the last suggestion, in later episodes and in its own.
     """
 
     people: tuple[str, ...]
@@ -177,6 +177,8 @@ class LikelihoodTable(ByContent):
     def thetas(self, rule: TrustRule, *, carry: bool = True) -> tuple[Floats, Floats]:
         """Return theta at each suggestion, shape (K, H, T), and after the last one, (K, T), from each theta_0.
 
+        Unless theta is carried, the latter is that at the end of the last suggestion's episode.
+
         Parameters
         ----------
         rule : TrustRule
@@ -211,8 +213,12 @@ class LikelihoodTable(ByContent):
             # What fills up the arrays comes after a person's last suggestion, so that it may move the count.
             after, count = moved(own, theta, count, Event(**{name: array[:, h, None] for name, array in seen.items()}))
             theta = np.where(h < self.heard[:, None], after, theta)
-        theta, _ = _after_silences(own, theta, count, steps[:, -1, 0])
-        return before, see(see(theta, -1, False), -1, True)
+        theta, count = _after_silences(own, theta, count, steps[:, -1, 1])
+        theta = see(theta, -1, True)
+        if carry:
+            theta, _ = _after_silences(own, theta, count, steps[:, -1, 0])
+            theta = see(theta, -1, False)
+        return before, theta
 
     def log_likelihood(self, rule: TrustRule, *, carry: bool = True) -> Floats:
         """Return the log likelihood of each person's choices, shape (K, B, T); parameters as for `thetas`."""
@@ -228,9 +234,9 @@ def _count_silences(counted: Ints, data: Data, episode: Ints) -> None:
     """Count one person's steps without a suggestion, shape (H + 1, 2); `episode` is that of each step of the data."""
     steps = np.flatnonzero(data.suggested == NOTHING)
     place = np.searchsorted(data.heard, steps)
-    last = place == len(data.heard)
-    now = np.zeros_like(last)
-    now[~last] = episode[steps[~last]] == episode[data.heard[place[~last]]]
+    last, now = place == len(data.heard), np.zeros(len(steps), dtype=bool)
+    if len(data.heard):
+        now = episode[steps] == episode[data.heard[np.minimum(place, len(data.heard) - 1)]]
     np.add.at(counted, (np.where(last, len(counted) - 1, place), now.astype(np.int64)), 1)
 
 

@@ -69,7 +69,7 @@ class Sights(ByContent):
     before : int array, shape (E,)
         Number of suggestions to the person until then, in all episodes.
     now : bool array, shape (E,)
-        Whether it was in the episode of the next suggestion to the person.
+        Whether it was in the episode of the next suggestion to the person; after the last, in the episode of the last.
     gain : float array, shape (E,)
     followed : bool array, shape (E,)
     weight : float array, shape (E,)
@@ -117,8 +117,9 @@ class Sights(ByContent):
                 if own.since[row] >= order:
                     continue
                 before = int(np.searchsorted(own.heard, row))
-                now = before < len(own.heard) and own.episode[own.heard[before]] == own.episode[row]
-                rows.append((before, bool(now), gain, followed, sees[place]))
+                near = own.heard[before : before + 1] if before < len(own.heard) else own.heard[-1:]
+                now = own.episode[near] == own.episode[row]
+                rows.append((before, bool(now.any()), gain, followed, sees[place]))
         return cls.of(rows)
 
 
@@ -130,7 +131,7 @@ class SightTable(ByContent):
     ----------
     events : float array, shape (K, H + 1, E, 4)
         Up to E events at a time: the gain, whether it was followed, the weight (0 for none), and whether it was in the
-        episode of this suggestion.
+        episode of this suggestion or, after the last, of the last one.
     """
 
     events: Floats

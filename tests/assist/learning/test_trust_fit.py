@@ -144,6 +144,28 @@ def enumerated(
     return total
 
 
+@dataclass(frozen=True)
+class Fading:
+    """A rule of one's own: in silence theta falls by a tenth."""
+
+    uses_answer, feedback, sees_silence = False, "never", True
+
+    def update(self, theta: np.ndarray, event: Event) -> np.ndarray:
+        return np.where(event.suggested, theta, 0.9 * theta)
+
+
+def test_silence_in_later_episodes_does_not_move_theta_unless_it_is_carried() -> None:
+    rows = [{**row, "suggestion": row["suggestion"] if n == 0 else None} for n, row in enumerate(
+        recorded(constant(), 1, 12, 1))]  # fmt: skip
+    first = sum(row["episode"] == rows[0]["episode"] for row in rows)
+    assert rows[0]["suggestion"]
+    assert 1 < first < len(rows)
+    _, last = LikelihoodTable.of(seen(rows), Method(), theta=np.array([0.8])).thetas(Fading(), carry=False)
+    assert last[0, 0] == pytest.approx(0.8 * 0.9 ** (first - 1))
+    _, last = LikelihoodTable.of(seen(rows), Method(), theta=np.array([0.8])).thetas(Fading())
+    assert last[0, 0] == pytest.approx(0.8 * 0.9 ** (len(rows) - 1))
+
+
 @pytest.mark.parametrize("rule", [*RULES.values(), Doubling()], ids=[*RULES, "one's own"])
 @pytest.mark.parametrize("carry", [True, False])
 def test_the_likelihood_is_that_of_a_filter_over_all_nodes(rule: TrustRule, carry: bool) -> None:
