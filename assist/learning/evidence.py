@@ -115,11 +115,13 @@ class Evidence(ByContent):
             none[wanted] = self.costs.is_goal(wanted)
             own = terms or {}
             values = features(situation(recording, self.costs), own) if own else None
-            return observe(recording, self.known[0], none, tuple(own), values)
+            each = observe(recording, self.known[0], none, tuple(own), values)
+            return [replace(one, simulated=self.log.simulated) for one in each]
         every = [observe(recording, known, none) for known in self.known]
         return [
             replace(
                 each[0],
+                simulated=self.log.simulated,
                 unknown_goal=UnknownGoals(self.goals, self.prior, each, self.reached[:, recording.person == number]),
             )
             for number, each in enumerate(zip(*every, strict=True))
@@ -128,7 +130,12 @@ class Evidence(ByContent):
 
 def is_carried(people: object, carry: bool | None) -> bool:
     """Return whether theta is carried from episode to episode: as given, or else unless a simulation wrote the log."""
-    return not (isinstance(people, Evidence) and people.log.simulated) if carry is None else carry
+    if carry is not None:
+        return carry
+    if isinstance(people, Evidence):
+        return not people.log.simulated
+    each = people if isinstance(people, Sequence) else ()
+    return not any(isinstance(one, Observations) and one.simulated for one in each)
 
 
 def replayed(

@@ -38,17 +38,22 @@ def with_neighbours(people: Evidence | Sequence[Observations], neighbours: Neigh
     Parameters
     ----------
     people : Evidence, or sequence of Observations
-        A replayed log, in the task of one goal; or observations, which are returned as they are.
+        A replayed log, in the task of one goal; or what this function returned, which is returned as it is.
     neighbours : Neighbours or None
         Who sees whom; whatever the rule is.
 
     Raises
     ------
     ValueError
-        Each episode has one of several goals, or the graph has fewer stations than the log.
+        Each episode has one of several goals, the graph has fewer stations than the log, or there are observations in
+        which nothing was seen, as those of `observed` are.
     """
     each = observations_of(people)
-    if neighbours is None or not isinstance(people, Evidence):
+    if neighbours is None:
+        return each
+    if not isinstance(people, Evidence):
+        if not any(len(o.seen.before) for o in each):
+            raise ValueError("neighbours: expected replayed(task, log), as observations do not say who saw what")
         return each
     places = _places(people, each)
     graph = Neighbourhood(neighbours.rule, neighbours.weights(1 + max(places.values(), default=0)))

@@ -151,6 +151,8 @@ class Observations(Result):
         same form. What depends on the goal in other fields then belongs to one goal for each episode.
     seen : Sights
         What the person saw of suggestions to neighbours (`neighbours_in_logs.with_neighbours`).
+    simulated : bool
+        Whether the log is that of a simulation, in which each episode begins with theta_0 (`Log.simulated`).
     """
 
     person: str
@@ -172,6 +174,7 @@ class Observations(Result):
     own: Chances | None = None
     unknown_goal: UnknownGoals | None = None
     seen: Sights = field(default_factory=Sights.of)
+    simulated: bool = False
 
     def __post_init__(self) -> None:
         read_only(self)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import invoke
 
-from assist.learning import compare_rules, fit_influence, replayed
+from assist.learning import compare_rules, fit_influence, observed, replayed
 from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import LikelihoodTable
 from assist.learning.neighbours_in_logs import seen_families, with_neighbours
@@ -82,6 +83,24 @@ def test_theta_at_each_suggestion_is_that_of_the_simulation(tiny: Table, rule: A
         np.testing.assert_allclose(before[0, :, 0], expected, atol=1e-12)
         moved += int((expected != theta).sum())
     assert moved > 10
+
+
+@pytest.mark.parametrize("rule", [SeenOutcome(0.2), SeenFollowed(0.1, 0.2)])
+def test_theta_at_last_is_that_of_the_last_suggestions_episode(tiny: Table, rule: Any) -> None:
+    """What is seen in later episodes, which begin with theta_0, does not move it."""
+    pool, trace, found = logged(tiny, rule, "outcome", people=5, episodes=6)
+    compared = 0
+    for o in found:
+        theta = np.array([pool.people[pool.names.index(o.person)].theta])
+        _, last = LikelihoodTable.of([o], Method(), np.ones(1), theta).thetas(WithSeen(outcome(), rule), carry=False)
+        own = sorted((o.episodes.index(row["episode"]), row["step"], row) for row in trace
+                     if row["person"] == o.person and row["action"])  # fmt: skip
+        told = max(place for place, (*_, row) in enumerate(own) if row["suggestion"])
+        episode = [one for one in own if one[0] == own[told][0]]
+        if episode[-1] is not own[told]:
+            assert last[0, 0] == pytest.approx(episode[-1][2]["theta"], abs=1e-12)
+            compared += told < len(own) - 1
+    assert compared > 0
 
 
 @pytest.mark.slow
@@ -257,6 +276,19 @@ def test_what_has_no_effect_or_is_no_graph_of_the_log_is_refused_in_one_sentence
     found = invoke(*command, "kitting/tiny", str(file), "--set", which)
     assert found.exit_code != 0
     assert said in " ".join(found.output.split())
+
+
+def test_observations_of_a_simulation_are_taken_as_its_log_is(tiny: Table) -> None:
+    """Theta is not carried, and what is not known of neighbours is not left out without a word."""
+    _, trace, _ = logged(tiny, "none", "outcome", people=4, episodes=4)
+    evidence, method = replayed(tiny, trace), Method(neighbours=Neighbours(rule="outcome", sees="next"))
+    whole = fit_influence(evidence, outcome())
+    for same in (observed(tiny, trace), evidence.observations()):
+        found = fit_influence(same, outcome())
+        assert (found.carried, found.log_likelihood) == (False, whole.log_likelihood)
+    assert fit_influence(observed(tiny, trace), outcome(), carry=True).carried
+    with pytest.raises(ValueError, match=re.escape("neighbours: expected replayed(task, log)")):
+        fit_influence(observed(tiny, trace), "constant", method)
 
 
 def test_several_goals_are_refused_and_a_log_without_places_has_the_order_of_names(tiny: Table) -> None:
