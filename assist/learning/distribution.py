@@ -99,7 +99,8 @@ class PopulationFit(Result):
     shares : float array, shape (B, T)
         The probability of each cell of (beta, theta).
     weights : mapping of str to (float, float)
-        Mean and standard deviation of each term's weight; empty without terms.
+        Mean and standard deviation of each term's weight; empty without terms. A term in which no choices of the log
+        differ has none.
     trust : dict, optional
         The trust rule, as `people.trust_rules.plain_rule` writes it, if it was fitted.
     utility_scale : float

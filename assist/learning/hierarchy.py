@@ -48,7 +48,7 @@ class Hierarchy(ByContent):
     ----------
     likelihood : Likelihood
     mean, spread : float arrays, shape (P,)
-        Mean and spread of each coordinate in the population.
+        Mean and spread of each coordinate in the population; arbitrary where `Ranges.told_apart` is false.
     at : float array, shape (K, P)
         Mode of each person's posterior.
     deviation : float array, shape (K, P)
@@ -115,7 +115,7 @@ def fit_hierarchy(
         mean = centre.sum(axis=0) / (people + towards)
         # A population is never narrower than a twentieth of a third of the range.
         scatter = ((centre - mean) ** 2 + own).sum(axis=0) + (0.05 * third) ** 2
-        spread = np.sqrt(scatter / (people + 1))
+        spread = np.where(fixed[0], spread, np.sqrt(scatter / (people + 1)))
         same = np.allclose(np.concatenate(before), np.concatenate([mean, spread]), atol=1e-3)
         if same and (known or (number >= WHOLE and width < 1e-3)):
             break
@@ -209,10 +209,8 @@ class Maximum(NamedTuple):
 
 
 def fixed_of(likelihood: Likelihood, people: int) -> NDArray[np.bool_]:
-    """Return which coordinates are fixed: theta, at 0.5, without suggestions."""
-    fixed = np.zeros((people, len(likelihood.ranges.low)), dtype=bool)
-    fixed[:, THETA] = not likelihood.steps.told
-    return fixed
+    """Return which coordinates are fixed at 0: theta (0.5) without suggestions, and weights of no effect in the log."""
+    return np.repeat(~likelihood.ranges.told_apart[None], people, axis=0)
 
 
 def intervals(likelihood: Likelihood, near: Floats, level: float) -> tuple[Floats, Floats, Floats]:

@@ -96,11 +96,14 @@ class Ranges:
     small : float
         The scale of beta.
     low, high : float arrays, shape (2 + J,)
+    told_apart : bool array, shape (2 + J,)
+        Whether choices of the log differ in what each coordinate is about.
     """
 
     small: float
     low: Floats
     high: Floats
+    told_apart: NDArray[np.bool_]
 
     @classmethod
     def of(cls, steps: Steps, largest: float) -> Ranges:
@@ -113,7 +116,8 @@ class Ranges:
         usual = [float(np.median(column[column > 0])) if (column > 0).any() else 1.0 for column in spread.T]
         # The largest weight gives log-odds of 12 to a typical difference of a term between two choices.
         ends = np.array([logit(1 - SMALL), *(12.0 / size for size in usual)])
-        return cls(small, np.array([0.0, *-ends]), np.array([np.log1p(largest / small), *ends]))
+        told_apart = np.array([True, steps.told, *(spread > 0).any(axis=0)])
+        return cls(small, np.array([0.0, *-ends]), np.array([np.log1p(largest / small), *ends]), told_apart)
 
     def thetas(self) -> Floats:
         """Return nodes of the coordinate of theta, shape (T,)."""
@@ -176,7 +180,8 @@ class Likelihood:
         places = [j for j, term in enumerate(self.terms) if term in set(terms)]
         kept = [BETA, THETA, *(FIRST_TERM + j for j in places)]
         steps = self.steps._replace(speaks=frozen(np.ascontiguousarray(self.steps.speaks[:, :, kept])))
-        ranges = Ranges(self.ranges.small, self.ranges.low[kept], self.ranges.high[kept])
+        of_all = self.ranges
+        ranges = Ranges(of_all.small, of_all.low[kept], of_all.high[kept], of_all.told_apart[kept])
         return replace(self, terms=tuple(self.terms[j] for j in places), steps=steps, ranges=ranges)
 
     def together(self, steps: NDArray[np.bool_] | None = None) -> Likelihood:

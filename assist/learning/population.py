@@ -16,6 +16,7 @@ the distribution; `Margin.recorded` are those of the sample.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -153,7 +154,7 @@ def population_of(found: Hierarchy) -> PopulationFit:
         margins.append(Margin.of(family, (mean, spread), value(edges[axis]), cells[axis], recorded))
     known = told and (found.rate is None or found.rate.identified)
     both = zip(found.mean[FIRST_TERM:].tolist(), found.spread[FIRST_TERM:].tolist(), strict=True)
-    weights = dict(zip(likelihood.terms, both, strict=True))
+    weights = dict(compress(zip(likelihood.terms, both, strict=True), ranges.told_apart[FIRST_TERM:].tolist()))
     return PopulationFit(
         len(likelihood.people), margins[0], margins[1] if told else None, likelihood.eta if known else None,
         found.evidence, np.outer(cells[0], cells[1] if told else [1.0]), weights,

@@ -135,6 +135,9 @@ def _lines_of(people: FittedPeople, found: PopulationFit | None) -> Iterable[str
             yield f"{whose}: {name} is {margin.family}, {spread}"
     for name, (mean, deviation) in found.weights.items():
         yield f"{whose}: the weight of {name} is normal, mean {mean:.2f}, standard deviation {deviation:.2f}"
+    for name in next((one.weights for one in people.values()), {}):
+        if name not in found.weights:
+            yield f"{whose}: the weight of {name} is not known, as no choices in the log differ in it"
     if found.eta is not None:
         yield f"{whose}: eta {found.eta:.3f}"
 

@@ -158,6 +158,20 @@ def test_people_are_recovered_and_lean_on_each_other() -> None:
         assert (low + high) / 2 == pytest.approx(people.hierarchy.mean[2 + list(TERMS).index(name)])
 
 
+def test_a_term_in_which_no_choices_differ_has_no_weight_in_the_population(tiny: Table, tmp_path: Path) -> None:
+    """On this task, this is so for `name`."""
+    told = record_with_terms(tiny, np.ones(4), np.tile(WEIGHTS, (4, 1)), 12, np.random.default_rng(3))
+    people = fit(tiny, Log.of(told), model="terms")
+    assert set(people.distribution().weights) == set(people.population().weights) == set(TERMS) - {"name"}
+    first = people["person-1"]
+    assert first.weights["name"] == 0.0
+    assert "these actions say nothing about the weight of name" in first.notes
+    log = tmp_path / "log.jsonl"
+    log.write_text("".join(json.dumps(row) + "\n" for row in told))
+    shown = invoke("fit", KITTING / "tiny.pddl", log, "--terms").stdout
+    assert "population of 4: the weight of name is not known, as no choices in the log differ in it\n" in shown
+
+
 def test_one_person_alone_is_fitted_by_their_own_actions() -> None:
     some = Log.of(row for row in rows() if row["person"] == "person-03")
     (person,) = fit(paper(), some, model="terms").values()
