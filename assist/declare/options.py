@@ -47,6 +47,9 @@ from .declared import (
 T = TypeVar("T")
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+LEADING_POINT = re.compile(r"(?<![\w.])\.(?=\d)")
+"""The point of a number such as .5, which TOML does not have."""
+
 
 class FieldOption(click.Option):
     """The option of a usual field; its value is what was written."""
@@ -253,12 +256,12 @@ def value_of(text: str, kind: Any) -> Any:
     inner = bare(kind)
     if inner is str or get_origin(inner) is Literal:
         return text
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        with suppress(ValueError):
-            return float(text) if inner is float else text  # .5 is no TOML
-        return text
+    for written in (text, LEADING_POINT.sub("0.", text)):
+        with suppress(tomllib.TOMLDecodeError):
+            return tomllib.loads(f"value = {written}")["value"]
+    with suppress(ValueError):
+        return float(text) if inner is float else text  # 5. is no TOML
+    return text
 
 
 def usual(kind: Any) -> Iterator[tuple[str, Usual]]:

@@ -219,8 +219,8 @@ class Observations(Result):
 
     @property
     def mistakes_by_goal(self) -> NDArray[np.bool_]:
-        """Whether each action was not an optimal choice with each goal, shape (G, N)."""
-        return ~self.by_goal("optimal")[:, np.arange(len(self)), self.chosen]
+        """Whether each action was not an optimal choice with each goal, shape (G, N); after the goal, none is one."""
+        return self.goals.reached | ~self.by_goal("optimal")[:, np.arange(len(self)), self.chosen]
 
     @property
     def suboptimal(self) -> int:

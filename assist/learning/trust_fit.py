@@ -80,6 +80,8 @@ class InfluenceFit(Result):
         Likelihood-ratio interval of each parameter that was estimated.
     unidentified : tuple of str
         Parameters that the choices say nothing about: their intervals are all values that are searched.
+    open_above : tuple of str
+        Parameters whose intervals end only because the search does.
     population : InfluencePopulation
     log_likelihood : float
         Marginal log likelihood of all choices.
@@ -96,6 +98,7 @@ class InfluenceFit(Result):
     parameters: dict[str, float]
     intervals: dict[str, Interval]
     unidentified: tuple[str, ...]
+    open_above: tuple[str, ...]
     population: InfluencePopulation
     log_likelihood: float
     carried: bool
@@ -117,7 +120,7 @@ class InfluenceFit(Result):
         """Return estimates as plain data."""
         return {
             "rule": self.rule, "parameters": self.parameters, "intervals": self.intervals,
-            "unidentified": self.unidentified, "population": vars(self.population),
+            "unidentified": self.unidentified, "open_above": self.open_above, "population": vars(self.population),
             "log_likelihood": self.log_likelihood, "carried": self.carried,
             "people": [vars(one) for one in self.people],
         }  # fmt: skip
@@ -172,7 +175,7 @@ def fit_influence(
     family = rule_beside(family_of(rule, method), method)
     log = LikelihoodTable.of_advised(observations, method, carry=carry)
     search = RuleSearch(log, family, carry)
-    values, intervals, open_ended = search.best(), {}, list[str]()
+    values, intervals, unidentified, open_above = search.best(), {}, list[str](), list[str]()
     # A person's belief is averaged over what the parameters of the rule may be: with the best ones alone, intervals of
     # theta after many suggestions are too short.
     points, shares = np.zeros((1, 0)), np.ones(1)
@@ -182,7 +185,8 @@ def fit_influence(
         intervals = {
             name: (family.parameter(name, end[0]), family.parameter(name, end[1])) for name, end in ends.items()
         }
-        open_ended = [name for name, whole in family.ranges.items() if np.allclose(ends[name], whole)]
+        unidentified = [name for name, whole in family.ranges.items() if np.allclose(ends[name], whole)]
+        open_above = [name for name, whole in family.ranges.items() if np.isclose(ends[name][1], whole[1])]
         sample = search.sample(values, covariance)
         points, shares = sample.points, sample.shares
     population, value = search.fitted(values)
@@ -213,8 +217,8 @@ def fit_influence(
     )  # fmt: skip
     chosen = family.rule(values)
     return InfluenceFit(
-        name_of(rule) + family.beside, parameters_of(chosen), intervals, tuple(open_ended), population, value, carry,
-        tuple(people), chosen, margins,
+        name_of(rule) + family.beside, parameters_of(chosen), intervals, tuple(unidentified), tuple(open_above),
+        population, value, carry, tuple(people), chosen, margins,
     )  # fmt: skip
 
 
@@ -224,7 +228,9 @@ def _beliefs(log: LikelihoodTable, search: RuleSearch, points: Floats, shares: F
     Shapes (points, K, B, T) and (points, K, T); the probabilities of a person sum to 1. `points`, shape (points, P),
     are of `RuleSearch.sample`, and `shares` their probabilities with the best population of each.
     """
-    joint, last, logs = [], [], np.log(shares)
+    joint, last = [], []
+    with np.errstate(divide="ignore"):  # a point far out has a share of 0
+        logs = np.log(shares)
     for at, point in enumerate(points.tolist()):
         population, best = search.fitted(point)
         found, average = population.posteriors(log, search.table(point))

@@ -69,7 +69,10 @@ def _show_influence(found: InfluenceFit, level: float, files: FitFiles) -> None:
     head = [interval_head(name, level) for name in ("theta at first", "theta at last", "beta")]
     print_table(("person", "followed", *head), rows, width=160)
     known = {name: None if name in found.unidentified else found.parameters[name] for name in found.intervals}
-    fitted = {name: interval_of(known[name], ends, digits=3) for name, ends in found.intervals.items()}
+    fitted = {
+        name: interval_of(known[name], ends, name in found.open_above, digits=3)
+        for name, ends in found.intervals.items()
+    }
     numbers = "".join(f", {name} {value}" for name, value in fitted.items())
     click.echo(f"trust rule {found.rule}{numbers}; log likelihood {found.log_likelihood:.3f}")
     for name in found.unidentified:

@@ -36,6 +36,7 @@ from assist.declare.declared import (
     plain,
     sentences,
 )
+from assist.declare.options import value_of
 from assist.declare.tables import convert, load, located, replaced
 from assist.person import OfRobots, Robot, Setting
 from planner.system.errors import InputFileError
@@ -107,6 +108,13 @@ def test_a_fault_in_a_file_has_its_line(text: str, message: str, tmp_path: Path)
     with pytest.raises(InputFileError) as caught, located(file):
         convert(load(file), Cart, file)
     assert str(caught.value) == f"{file}{message}"
+
+
+def test_a_number_may_begin_with_its_point_also_in_a_list() -> None:
+    assert value_of("[.2, -.5, 1.5]", tuple[float, float]) == [0.2, -0.5, 1.5]
+    assert value_of(".5", float) == 0.5
+    assert value_of('{file = "a .5"}', dict) == {"file": "a .5"}
+    assert value_of("travel=.5", Any) == "travel=.5"
 
 
 def test_numbers_of_any_kind_become_pythons_own_and_objects_stay_frozen() -> None:

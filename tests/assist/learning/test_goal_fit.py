@@ -133,7 +133,8 @@ def test_mistakes_are_counted_with_each_goal_by_its_probability() -> None:
     for one in fitted().values():
         o, shares = one.observations, one.goal_posteriors()
         names = [episode for episode, begins in zip(np.array(o.episodes)[o.begins.cumsum() - 1], o.begins, strict=True)]
-        wrong = {name: each.mistake for name, each in zip(o.goals.names, o.goals.each, strict=True)}
+        over = zip(o.goals.names, o.goals.each, o.goals.reached, strict=True)
+        wrong = {name: each.mistake | reached for name, each, reached in over}
         mean = sum(shares[episode][name] * wrong[name][i] for i, episode in enumerate(names) for name in wrong)
         assert one.suboptimal_actions == pytest.approx(mean)
         assert one.as_dict()["suboptimal_actions"] == one.suboptimal_actions

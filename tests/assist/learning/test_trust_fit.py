@@ -242,6 +242,8 @@ def test_a_parameter_that_the_log_does_not_depend_on_has_the_whole_range() -> No
     assert found.intervals["loss"] == families(Method())["outcome"].ranges["loss"]
     assert (found.unidentified, found.as_dict()["unidentified"]) == (("loss",), ("loss",))
     assert repr(found).endswith("loss ?>")
+    assert "loss" in found.open_above
+    assert {name for name, (_, high) in found.intervals.items() if high == 3.0} == set(found.open_above)
 
 
 def test_one_episode_is_the_same_carried_or_not() -> None:
