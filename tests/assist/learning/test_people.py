@@ -70,7 +70,6 @@ def test_what_cannot_be_used_is_not_passed_over(tiny: Table) -> None:
         fit(tiny, log, drop=["nosuch"])
 
 
-@pytest.mark.slow
 def test_misconceptions_of_several_people(tiny: Table, rows: list[dict]) -> None:
     told: list[tuple[str, int, int | None]] = []
     few = Log.of([row for row in rows if row["person"] != "p2" and row["episode"] < "2"])

@@ -224,7 +224,6 @@ def test_costs_whose_sums_no_array_holds():
         sweep(counter(2, costs=(1, 10**12 + 1)))
 
 
-@pytest.mark.slow
 def test_sums_of_costs_that_no_float_holds():
     """A plan of 16,383 actions costs 16,382,999,999,983,617, which a float would round to another number."""
     with pytest.raises(LimitError, match="sums of costs are too large; expected less than 9007199254740992"):

@@ -166,7 +166,6 @@ def test_what_is_in_use_all_the_time_counts() -> None:
         budget.during("it was looked for")(4e6)
 
 
-@pytest.mark.slow
 def test_where_looking_for_a_ranking_takes_too_much_memory_states_are_listed() -> None:
     """Matrices of 160 facts need more memory than 1,681 states do."""
     task = chains(2, 40)

@@ -19,7 +19,7 @@ from test_symmetry import copies
 
 from planner import Effect, LimitError, Operator, Packing, SweepOptions, Task, Variable
 from planner.costtogo.orbit_table import orbits
-from planner.search import ranked_index, state_registry, successor_generator
+from planner.search import compiled_search, ranked_index, state_registry, successor_generator
 from planner.search.ranked_index import RankedIndex
 from planner.search.state_registry import RegistryIndex
 
@@ -74,6 +74,12 @@ def many_moves(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(successor_generator, "candidates", partial(successor_generator.candidates, max_bytes=0))
 
 
+def many_ranks(patch: pytest.MonkeyPatch) -> None:
+    """Let the dense ranking have so many ranks that states are listed first."""
+    only_dense(patch)
+    patch.setattr(compiled_search, "MANY", 0)
+
+
 WAYS: dict[str, tuple[Callable[[pytest.MonkeyPatch], object], SweepOptions]] = {
     "in blocks": (partial(with_blocks_of, 64), COMPILED),  # smaller blocks are left to one thread
     "sets of moves that do not fit the cache": (many_moves, COMPILED),
@@ -82,6 +88,7 @@ WAYS: dict[str, tuple[Callable[[pytest.MonkeyPatch], object], SweepOptions]] = {
     "without a list": (lambda _: None, UNLISTED),
     "dense": (only_dense, UNLISTED),
     "dense after a list": (only_dense, COMPILED),
+    "listed before a dense one": (many_ranks, UNLISTED),
 }
 """What is changed for a search, and its options."""
 

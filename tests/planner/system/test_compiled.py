@@ -210,7 +210,6 @@ def test_python_is_refused_by_name_where_only_compiled_code_may_call() -> None:
         doubled(1.5)
 
 
-@pytest.mark.slow
 def test_an_interrupt_while_the_compiler_is_imported_leaves_it_whole(tmp_path: Path) -> None:
     """Otherwise no later call in the same session could use it."""
     script = """
