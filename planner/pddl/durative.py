@@ -131,7 +131,7 @@ def _composed(file: Path, schema: TimedSchema, times: Sequence[str], changes: Se
     for group in groups.values():
         last: list[Change] = []
         for time in (START, END):
-            now = [change for when, change in group if when == time]
+            now = _alike([change for when, change in group if when == time])
             for one, other in combinations(now, 2):
                 if not (one.grows and other.grows) and not exclude(one.condition, other.condition):
                     _twice(file, schema, one, other)
@@ -146,6 +146,19 @@ def _composed(file: Path, schema: TimedSchema, times: Sequence[str], changes: Se
                 else:
                     _too_intricate(file, schema, each)
         yield from last
+
+
+def _alike(changes: Sequence[Change]) -> list[Change]:
+    """Return changes of one term at one time, in which assignments of one amount are one, under either condition."""
+    found: list[Change] = []
+    for change in changes:
+        amount = str(change.amount)
+        at = next((n for n, each in enumerate(found) if str(each.amount) == amount and not each.grows), None)
+        if at is None or change.grows:
+            found.append(change)
+        else:
+            found[at] = replace(found[at], condition=disjunction((found[at].condition, change.condition)))
+    return found
 
 
 def _twice(file: Path, schema: TimedSchema, one: Change, other: Change) -> None:

@@ -31,7 +31,7 @@ from .metric import Metric
 from .numeric_expressions import Number, terms_of, word_of
 from .reader import Reading
 from .static_facts import Statics, literal_number
-from .timed_schemas import END, START, Change, TimedSchema
+from .timed_schemas import END, START, Change, TimedSchema, growth
 
 MOST_VARIANTS = 128
 """Largest number of schemas into which one action is divided."""
@@ -89,7 +89,8 @@ def roles(
                 if name in read or name in metric.functions:
                     add(before)
                     add(change.condition)
-                    read.update(t.head for t in terms_of(change.amount) if t.head != name or name in metric.functions)
+                    amount = (None if change.grows else growth(change.term, change.amount)) or change.amount
+                    read.update(t.head for t in terms_of(amount) if t.head != name or name in metric.functions)
     kept = every & read
     return Roles(kept, (every & metric.functions) - kept, every - kept - metric.functions)
 
@@ -192,9 +193,10 @@ class Preparation:
         known = {str(each) for time, condition in schema.conditions if time == START for each in conjuncts(condition)}
         kinds = {each.name: each.kinds for each in schema.parameters}
         for number, (time, _, change) in enumerate(schema.changes):
-            if change.variables or change.term.head in self.roles.costs:
+            if change.variables:
                 continue
-            others = [other.term for _, _, other in schema.changes[number + 1 :]]
+            adds = change.term.head in self.roles.costs and change.grows  # which of them grows does not matter
+            others = [other.term for _, _, other in schema.changes[number + 1 :] if not (adds and other.grows)]
             if time == START and schema.durations is not None:
                 others += self._later_terms(schema)
             for other in others:
@@ -293,7 +295,7 @@ class Preparation:
                 made += 1
                 if made > MOST_VARIANTS:
                     raise UnsuitedError
-                yield replace(each, changes=tuple(self._summed(each.changes)))
+                yield replace(each, changes=tuple(map(_grown, self._summed(each.changes))))
                 continue
             condition = doubtful.condition
             alike = [str(change.condition) == str(condition) for change in each.changes]
@@ -361,6 +363,12 @@ class Preparation:
                     parts.append(listed(word("*"), listed(word(name), *terms), change.amount))
         kept = tuple(change for change in schema.changes if change.term.head not in self.roles.costs)
         return Costed(replace(schema, changes=kept), total(parts))
+
+
+def _grown(change: Change) -> Change:
+    """Return a change, the only one of its term, as a growth if it is an assignment that is one."""
+    more = None if change.grows else growth(change.term, change.amount)
+    return change if more is None else replace(change, amount=more, grows=True)
 
 
 def _times(weight: Number, amount: Expression) -> Expression:

@@ -7,7 +7,7 @@ in which nothing has a time.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from .conditions import FALSE, TRUE, conjunction, normal_form, quantified, substituted, variables_of
@@ -33,7 +33,10 @@ class Literal:
 
 @dataclass(frozen=True)
 class Change:
-    """A change of a number: the term gets the amount, or grows by it."""
+    """A change of a number: the term gets the amount, or grows by it.
+
+    An assignment stays one until it is the only change of its term: two that are alike are one, as growths are not.
+    """
 
     variables: Mapping[str, str]
     """Variables with their types."""
@@ -196,8 +199,6 @@ class _Reader:
 
 def _change(effect: Expression, variables: Mapping[str, str], condition: Expression) -> Change:
     head, term, amount = effect.head, *effect.parts[1:]
-    if head == "assign" and (more := _growth(term, amount)) is not None:
-        return Change(variables, condition, term, more, True, effect.place)
     if head == "decrease":
         amount = listed(word("-"), amount)
     elif head in ("scale-up", "scale-down"):
@@ -205,16 +206,23 @@ def _change(effect: Expression, variables: Mapping[str, str], condition: Express
     return Change(variables, condition, term, amount, head in ("increase", "decrease"), effect.place)
 
 
-def _growth(term: Expression, amount: Expression) -> Expression | None:
-    """Return by how much a term grows that gets an amount such as `(+ TERM 2)`; None for other amounts."""
+def growth(term: Expression, amount: Expression) -> Expression | None:
+    """Return by how much a term grows that is assigned an amount such as `(+ TERM 2)`; None for other amounts."""
+    if str(amount) == str(term):
+        return word("0")
     parts = list(amount.parts[1:])
-    at = next((n for n, part in enumerate(parts) if str(part) == str(term)), None)
-    if amount.head == "+" and at is not None and len(parts) > 1:
-        rest = parts[:at] + parts[at + 1 :]
-        return rest[0] if len(rest) == 1 else listed(word("+"), *rest)
-    if amount.head == "-" and at == 0 and len(parts) == 2:
-        return listed(word("-"), parts[1])
+    if amount.head == "+":
+        for at, part in enumerate(parts):
+            if (more := growth(term, part)) is not None:
+                return _sum([more, *parts[:at], *parts[at + 1 :]])
+    if amount.head == "-" and len(parts) > 1 and (more := growth(term, parts[0])) is not None:
+        return _sum([more, *(listed(word("-"), part) for part in parts[1:])])
     return None
+
+
+def _sum(parts: Iterable[Expression]) -> Expression:
+    found = [part for part in parts if part.word != "0"]
+    return found[0] if len(found) == 1 else listed(word("+"), *found) if found else word("0")
 
 
 def renamed(change: Change, bound: Mapping[str, str]) -> Change:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from planner import load, sweep
+from planner import PDDLError, load, sweep
 from planner.pddl.plan_execution import execute
 
 pytestmark = pytest.mark.cases
@@ -118,9 +118,48 @@ EMPTY = {
 }  # fmt: skip
 """Quantifiers over a type without objects."""
 
+DOWN = "(assign (n) (- (n) 1))"
+OBJECTS = "(:objects u v - t) (:init (= (n) 4)) (:goal {})"
+BIG = "(:types t) (:predicates (p ?x - t)) (:functions (n)) (:action a :precondition (>= (n) 2) :effect {})"
+ASSIGNED = {
+    "for all objects": (
+        BIG.format(f"(forall (?x - t) {DOWN})"), OBJECTS.format("(= (n) 1)"), 3
+    ),
+    "for some objects": (
+        BIG.format(f"(forall (?x - t) (and (when (not (p ?x)) {DOWN}) (p ?x)))"), OBJECTS.format("(= (n) 3)"), 1
+    ),
+    "twice": (BIG.format(f"(and {DOWN} {DOWN})"), OBJECTS.format("(<= (n) 1)"), 3),
+    "at the start and at the end": (
+        "(:types t) (:functions (n)) (:durative-action a :parameters () :duration (= ?duration 1) :condition (at start "
+        f"(>= (n) 2)) :effect (and (at start {DOWN}) (at end {DOWN})))", OBJECTS.format("(= (n) 0)"), 2,
+    ),
+    "one term by two names": (
+        "(:types t) (:functions (n ?x - t)) (:action a :parameters (?x ?y - t) :precondition (and (>= (n ?x) 2) (>= "
+        "(n ?y) 2)) :effect (and (assign (n ?x) (- (n ?x) 1)) (assign (n ?y) (- (n ?y) 1))))",
+        "(:objects u - t) (:init (= (n u) 4)) (:goal (<= (n u) 1))", 3,
+    ),
+    "what is minimized": (
+        "(:types t) (:functions (spent)) (:predicates (q)) (:action a :effect (and (q) (forall (?x - t) (assign "
+        "(spent) (+ (spent) 1)))))",
+        "(:objects u v - t) (:init (= (spent) 0)) (:goal (q)) (:metric minimize (spent))", 1,
+    ),
+    "what is minimized, by two names": (
+        "(:types t) (:functions (spent ?x - t)) (:predicates (q)) (:action a :parameters (?x ?y - t) :effect (and (q) "
+        "(assign (spent ?x) (+ (spent ?x) 1)) (assign (spent ?y) (+ (spent ?y) 1))))",
+        "(:objects u - t) (:init (= (spent u) 0)) (:goal (q)) (:metric minimize (spent u))", 1,
+    ),
+}  # fmt: skip
+"""Assignments of a number that is computed from the assigned one; several are one, since they read what was before."""
+
 CASES = {
     f"{kind}: {name}": case
-    for kind, cases in {"beyond": BEYOND, "started": STARTED, "duration": DURATIONS, "empty": EMPTY}.items()
+    for kind, cases in {
+        "beyond": BEYOND,
+        "started": STARTED,
+        "duration": DURATIONS,
+        "empty": EMPTY,
+        "assigned": ASSIGNED,
+    }.items()
     for name, case in cases.items()
 }
 
@@ -135,3 +174,11 @@ def test_costs_are_those_of_the_meaning(tmp_path: Path, case: tuple[str, str, fl
     assert table[table.initial] == cost
     if (plan := table.optimal_plan()) is not None:
         assert execute(task.instance, plan).cost == cost
+
+
+@pytest.mark.parametrize("other", ["(assign (n) (- (n) 2))", "(increase (n) 1)", "(assign (n) 3)"])
+def test_assignments_that_differ_are_refused(tmp_path: Path, other: str) -> None:
+    (tmp_path / "domain.pddl").write_text(f"(define (domain d)\n{BIG.format(f'(and {DOWN} {other})')})")
+    (tmp_path / "p.pddl").write_text(f"(define (problem p) (:domain d)\n{OBJECTS.format('(= (n) 1)')})")
+    with pytest.raises(PDDLError, match=r"domain.pddl:2: action 'a' changes '\(n\)' twice at one time, on line 2"):
+        load(tmp_path / "p.pddl")
