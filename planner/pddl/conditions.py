@@ -2,7 +2,8 @@
 
 The connectives are `and`, `or`, `forall` and `exists`; `not` stands before predicates and equalities of objects only.
 A comparison of numbers is `<`, `<=`, `>`, `>=`, `==` or `!=`, so that `=` always compares objects. A comparison that
-reads a number without a value is not satisfied, negated or not. `(failed COMPARISON)` holds where it is not satisfied.
+reads a number without a value, or divides by zero, is not satisfied, negated or not. `(failed COMPARISON)` holds where
+it is not satisfied.
 """
 
 from __future__ import annotations

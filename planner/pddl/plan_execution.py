@@ -115,7 +115,7 @@ class _Files:
         assert goal is not None
         assert init is not None
         self.goal, self.metric = goal.parts[1], None if metric is None else metric.parts[2]
-        self.priced = {"total-cost"}.union(() if metric is None else (part.head for part in metric.walk()))
+        self.priced = set[str]() if metric is None else {part.head or part.word for part in metric.walk()}
         self.read = self._read([*domain.parts, *problem.parts])
         atoms, values = set[Term](), dict[Term, Fraction]()
         for fact in init.parts[1:]:
@@ -208,7 +208,10 @@ class _Files:
     def holds(
         self, condition: Expression, scope: Scope, moments: _Moments, *, later: bool = False, negated: bool = False
     ) -> bool:
-        """Return whether a condition holds, or its negation. A comparison without a value does not, negated or not."""
+        """Return whether a condition holds, or its negation. A comparison without a value does not, negated or not.
+
+        A quotient by zero is no value either.
+        """
         head, parts = condition.head, condition.parts[1:]
 
         def inner(part: Expression, own: Scope = scope, *, turned: bool = False) -> bool:
@@ -229,9 +232,7 @@ class _Files:
         if head in COMPARISONS and (head != "=" or any(self._is_number(part, scope) for part in parts)):
             try:
                 left, right = (self.value(part, scope, state) for part in parts)
-            except ZeroDivisionError:
-                raise
-            except ArithmeticError:  # a function has no value there
+            except ArithmeticError:  # a function has no value there, or a divisor is 0
                 return False
             return bool(COMPARISONS[head](left, right)) != negated
         term = _ground(condition, scope)

@@ -77,7 +77,7 @@ def of_reading(reading: Reading) -> tuple[TimedSchema, ...]:
     for entry in reading.domain.entries:
         if isinstance(entry, Rule):
             continue
-        reader = _Reader(reading, objects, entry.name)
+        reader = _Reader(reading, objects, entry.name, entry.place)
         if isinstance(entry, Action):
             reader.condition(START, entry.precondition)
             reader.effect(START, entry.effect)
@@ -102,7 +102,8 @@ def _durations(constraint: Expression, time: str) -> Iterator[tuple[str, str, Ex
 class _Reader:
     """The parts of one action, collected."""
 
-    def __init__(self, reading: Reading, objects: Container[str], name: str) -> None:
+    def __init__(self, reading: Reading, objects: Container[str], name: str, place: Place) -> None:
+        self.place = place
         self.file = reading.instance.domain
         self.objects = objects
         self.name = name
@@ -188,8 +189,8 @@ class _Reader:
         else:
             own = at.get(time, TRUE)
             if time == START and END in at:
-                refuse(self.file, effect, f"durative action '{self.name}': an effect at start depends on a condition "
-                       "at end; expected both at one time")  # fmt: skip
+                refuse(self.file, self.place, f"durative action '{self.name}': an effect at start depends on a "
+                       "condition at end; expected both at one time")  # fmt: skip
             if head in CHANGES:
                 self.changes.append((time, before, _change(effect, variables, own)))
             else:

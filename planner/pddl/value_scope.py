@@ -378,6 +378,10 @@ class Scope:
                         found.append(listed(word("undefined"), term))
                 elif term.head in self.encoder.undefined or self._lacks_fluents(term):
                     found.append(listed(word("undefined"), term))
+            for each in side.walk():
+                if each.head == "/":
+                    zero = (listed(word("=="), divisor, word("0")) for divisor in each.parts[2:])
+                    found += [one for one in zero if not self.statics.is_static(one.parts[1])]
         return found
 
     def _is_partial(self, term: Expression) -> bool:

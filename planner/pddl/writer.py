@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from itertools import groupby
 
 from .declarations import OBJECT, REQUIREMENTS, Symbol, Typed
+from .instances import Expression
 from .numeric_expressions import as_shown
 from .reader import TOTAL_COST, Action, DurativeAction, Reading, Rule
 
@@ -129,8 +130,16 @@ def _action(action: Action, reading: Reading) -> str:
         ":action", action.name,
         ":parameters", _list(*_variables(action.parameters, reading)),
         ":precondition", str(action.precondition),
-        ":effect", str(action.effect),
+        ":effect", str(action.effect if reading.numeric or reading.problem.metric else _without_cost(action.effect)),
     )  # fmt: skip
+
+
+def _without_cost(effect: Expression) -> Expression:
+    """Return an effect without the cost, which may lack a value, and is no part of a problem without a metric."""
+    if effect.head != "and":
+        return effect
+    kept = (part for part in effect.parts[1:] if part.head != "increase")
+    return effect._replace(parts=(effect.parts[0], *map(_without_cost, kept)))
 
 
 def _rule(rule: Rule, reading: Reading) -> str:

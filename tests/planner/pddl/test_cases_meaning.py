@@ -151,6 +151,46 @@ ASSIGNED = {
 }  # fmt: skip
 """Assignments of a number that is computed from the assigned one; several are one, since they read what was before."""
 
+STEPS = ("(:functions (n) (m)) (:predicates (q) (r)) (:action b :precondition (<= (n) 2) :effect (increase (n) 1)) "
+         "(:action c :precondition (>= (n) 1) :effect (decrease (n) 1)) ")  # fmt: skip
+NONE = "(:init (= (n) 0) (= (m) 0)) (:goal {})"
+THIRD = "(>= (/ 6 (n)) 2)"
+DIVIDED = {
+    "around a fact": (
+        STEPS + f"(:action a :effect (and (q) (when {THIRD} (r))))", NONE.format("(and (q) (not (r)))"), 1
+    ),
+    "around a number": (
+        STEPS + f"(:action a :precondition (<= (m) 3) :effect (and (q) (when {THIRD} (increase (m) 1))))",
+        NONE.format("(and (q) (= (m) 0))"), 1,
+    ),
+    "negated": (STEPS + f"(:action a :precondition (not {THIRD}) :effect (q))", NONE.format("(q)"), math.inf),
+    "in an effect": (
+        STEPS + "(:action a :effect (and (q) (assign (m) (/ 6 (n)))))", NONE.format("(and (q) (>= (m) 0))"), 2
+    ),
+}  # fmt: skip
+"""Divisions by a number that begins with 0."""
+
+PRICED = "(:types t) (:predicates (q)) (:functions (k ?x - t) (m) (total-cost)) (:action a :parameters (?x - t) {})"
+PAID = "(increase (total-cost) (k ?x))"
+UNREAD = {
+    "without a metric": (
+        PRICED.format(f":effect (and (q) {PAID})"), "(:objects u - t) (:init) (:goal (q))", 1
+    ),
+    "without a metric, beside a number": (
+        PRICED.format(f":precondition (>= (m) 0) :effect (and (q) {PAID})"),
+        "(:objects u - t) (:init (= (m) 0)) (:goal (q))", 1,
+    ),
+    "beside what is minimized": (
+        PRICED.format(f":effect (and (q) {PAID} (increase (m) 3))"),
+        "(:objects u - t) (:init (= (m) 0)) (:goal (q)) (:metric minimize (m))", 3,
+    ),
+    "what is minimized": (
+        PRICED.format(f":effect (and (q) {PAID})"),
+        "(:objects u - t) (:init) (:goal (q)) (:metric minimize (total-cost))", math.inf,
+    ),
+}  # fmt: skip
+"""Costs without a value, which matter only if the sum of costs does."""
+
 CASES = {
     f"{kind}: {name}": case
     for kind, cases in {
@@ -181,4 +221,15 @@ def test_assignments_that_differ_are_refused(tmp_path: Path, other: str) -> None
     (tmp_path / "domain.pddl").write_text(f"(define (domain d)\n{BIG.format(f'(and {DOWN} {other})')})")
     (tmp_path / "p.pddl").write_text(f"(define (problem p) (:domain d)\n{OBJECTS.format('(= (n) 1)')})")
     with pytest.raises(PDDLError, match=r"domain.pddl:2: action 'a' changes '\(n\)' twice at one time, on line 2"):
+        load(tmp_path / "p.pddl")
+
+
+def test_a_refused_time_of_an_effect_has_a_line(tmp_path: Path) -> None:
+    domain = (
+        "(:predicates (q) (r)) (:durative-action a :parameters () :duration (= ?duration 3) :effect (when (at end (r)) "
+        "(at start (q))))"
+    )
+    (tmp_path / "domain.pddl").write_text(f"(define (domain d)\n{domain})")
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (q)))")
+    with pytest.raises(PDDLError, match=r"domain.pddl:2: durative action 'a': an effect at start depends on"):
         load(tmp_path / "p.pddl")
