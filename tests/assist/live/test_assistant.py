@@ -42,7 +42,7 @@ TWO = (Robot(c_suggest=0.3, c_move=0.2), Robot(travel_time=2, c_move=0.1))
         ("none", Setting()),
         ("reactive", Setting(c_suggest=0.1, robots=2)),
         pytest.param("attention-never", Setting(c_suggest=0.2), marks=pytest.mark.slow),
-        pytest.param("rollout", Setting(c_suggest=0.2), marks=pytest.mark.slow),
+        ("rollout", Setting(c_suggest=0.2)),
         ("attention", Setting(c_suggest=0.1, travel_time=2, c_move=0.1)),
         ("attention", Setting(c_suggest=0.2, knowledge="exact", suggestions="all")),
         ("attention", Setting(c_suggest=0.1, trust=ThreeInARow(0.3, 0.1))),

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from conftest import costly
 from graphs import graph_task
-from hypothesis import given
+from hypothesis import example, given
 from sessions import EASY, HAPPENS, SETTING, happen
 from store_faults import Failing, schedule
 
@@ -69,6 +69,7 @@ def test_after_an_erasure_the_policy_knows_the_tasks_that_it_knows_after_a_resta
 
 @costly(4, 12)
 @given(HAPPENS, HAPPENS)
+@example([("arrived", 1, 0), ("paused", 0, 0)], [])
 def test_an_erased_person_changes_nothing_for_the_others(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any
 ) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT, costly, kit
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from test_uncertain_actions import NOISY
 from test_unknown_goals import LAPSE, SMALL, Steps, by_enumeration, three_goals
@@ -266,6 +266,7 @@ EVENTS = st.lists(st.tuples(st.sampled_from("adlmuqnbr"), st.integers(0, 5), st.
 
 @costly(4, 12)
 @given(EVENTS)
+@example([("d", 0, 0.5), ("n", 0, 0.9), ("l", 0, 0.5), ("n", 0, 0.9)])
 def test_a_session_of_doubtful_actions_and_answers_resumes_to_the_bit(tmp_path_factory: Any, moves: Any) -> None:
     journal = tmp_path_factory.mktemp("session") / "journal.sqlite"
     session = Session(three_goals("tiny"), journal, setting=BOTH)

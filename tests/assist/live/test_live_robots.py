@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import costly
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, all_of
 from starlette.testclient import TestClient
@@ -145,6 +145,7 @@ def test_two_robots_that_report_the_same_arrival(tiny: Table, tmp_path: Path) ->
 
 @costly(4, 12)
 @given(events=HAPPENS, seed=st.integers(0, 10**6))
+@example(events=[("arrived", 0, 0), ("elapsed", 0, 0), ("paused", 0, 0), ("elapsed", 0, 0)], seed=0)
 def test_a_session_of_two_robots_is_restored(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, int, int]], seed: int
 ) -> None:
