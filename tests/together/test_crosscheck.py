@@ -44,21 +44,6 @@ def test_no_policy_exceeds_a_bound(numbers: Sequence[int]) -> None:
     assert len(near) >= len(outcomes) / 2
 
 
-def test_fifty_settings_have_all_features() -> None:
-    cases = [Case.of(number) for number in SETTINGS]
-    for has in (
-        lambda case: case.part is not None, lambda case: case.part is None, lambda case: case.paths > 0,
-        lambda case: case.late, lambda case: case.setting.execute, lambda case: case.setting.lapse == 0,
-        lambda case: case.prior.weights, lambda case: case.prior.chooses is not None,
-        lambda case: case.setting.travel_time > 0, lambda case: case.distance is not None,
-        lambda case: case.task == "delivery/one-parcel", lambda case: case.setting.knowledge == "exact",
-        lambda case: case.setting.knowledge == "own", lambda case: case.setting.suggestions == "all",
-        lambda case: case.setting.trust != "paper", lambda case: len(case.setting.robots) > 1,
-        lambda case: case.goals > 1, lambda case: case.goals > 1 and case.late,
-    ):  # fmt: skip
-        assert sum(bool(has(case)) for case in cases) >= 3
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, 50, 10))
 def test_no_policy_exceeds_a_bound_in_fifty_settings(first: int) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import product
 
 import numpy as np
 import pytest
@@ -14,10 +13,9 @@ from silence import ThreeInARow
 
 from assist.certify import BoundOptions, upper_bound
 from assist.people import Choices, Grid, HumanModel, Population, TrustRule
-from assist.people.decision import Floats
-from assist.person import AssistPOMDP, AttentionSubproblem, Behaviour, OfRobots, Setting, evaluate, solve
+from assist.person import AssistPOMDP, AttentionSubproblem, Behaviour, OfRobots, Setting, solve
 from assist.person.qmdp import qmdp
-from assist.team import NOBODY, Pool
+from assist.team import Pool
 from assist.team.simulate import simulate
 
 pytestmark = pytest.mark.slow  # a problem of two people takes seconds; `test_bounds` has other optima
@@ -126,62 +124,3 @@ def test_the_sampled_bound_is_not_below_and_much_nearer(costs: tuple[float, floa
     assert bound.sampled.mean < bound.upper < bound.proven
     # More than half of what the prices leave open; two thirds in docs/results/teams.md.
     assert bound.proven - bound.sampled.mean > 0.5 * (bound.proven - joint.upper)
-
-
-def test_never_helping_is_everybodys_own_value() -> None:
-    pool, joint = solved(COSTS[0])
-    alone = [
-        evaluate(p.pomdp, np.zeros(len(p.pomdp.robot_actions), dtype=np.int64), tolerance=1e-7) for p in pool.policies
-    ]
-    own = sum(
-        float((value[p.pomdp.model.choices.initial] * p.pomdp.prior).sum())
-        for value, p in zip(alone, pool.policies, strict=True)
-    )
-    assert joint.never == pytest.approx(own, abs=1e-5)
-
-
-def tree(pool: Pool, tail: list[Floats], depth: int, x: tuple[int, ...], beliefs: list[Floats], at: int) -> float:
-    """Return the optimal value over `depth` steps by the whole tree, with each person's `tail` afterwards."""
-    if depth == 0:
-        return sum(float((value[y] * belief).sum()) for value, y, belief in zip(tail, x, beliefs, strict=True))
-    people, travel = [policy.pomdp for policy in pool.policies], pool.setting.travel(2)
-    best = -np.inf
-    goal = [bool(p.model.choices.goal[y]) for p, y in zip(people, x, strict=True)]
-    robots = [(k, r) for k in range(2) if not goal[k] for r in range(1, people[k].robot_actions[x[k]])]
-    for person, robot in [(NOBODY, 0), *robots]:
-        to = at if person == NOBODY else person
-        value = -float(travel.c_move[0]) * float(travel.distance[at, to])
-        parts = []
-        for k, (p, y, belief) in enumerate(zip(people, x, beliefs, strict=True)):
-            if goal[k]:
-                parts.append([(1.0, 0.0, y, belief)])
-                continue
-            r = robot if k == person else 0
-            slots = np.flatnonzero(p.model.choices.applicable[y])
-            rows = [np.full_like(slots, number) for number in (y, r)]
-            likelihood = np.broadcast_to(p.likelihood(*rows, slots), (len(slots), *belief.shape))
-            chance = np.einsum("abt,bt->a", likelihood, belief)
-            after = p.update(np.tile(belief, (len(slots), 1, 1)), *rows, slots)
-            cost = p.model.choices.costs[y, slots] + p.robot_costs[y, r]
-            parts.append(list(zip(chance, cost, p.model.choices.targets[y, slots], after, strict=True)))
-        for ends in product(*parts):
-            chance = float(np.prod([end[0] for end in ends]))
-            then = tree(pool, tail, depth - 1, tuple(int(e[2]) for e in ends), [e[3] for e in ends], to)
-            value += chance * (pool.setting.gamma * then - sum(float(end[1]) for end in ends))
-        best = max(best, value)
-    return best
-
-
-@pytest.mark.parametrize("costs", [(0.01, 0.02), (0.03, 0.0)])
-def test_a_short_sighted_team_is_worth_what_the_whole_tree_is(costs: tuple[float, float]) -> None:
-    """One step from the goal and with strong discounting, three steps are nearly everything."""
-    choices = pool_of(*costs).choices(0)
-    pool = pool_of(*costs, initial=int(np.flatnonzero(choices.h == 1)[0]), gamma=0.3)
-    joint = joint_bounds(pool, gap=1e-5)
-    never = [evaluate(p.pomdp, np.zeros(len(p.pomdp.robot_actions), dtype=np.int64)) for p in pool.policies]
-    seen = [qmdp(p.pomdp).value_mdp for p in pool.policies]  # ways that cost nothing
-    x, beliefs = (pool.choices(0).initial,) * 2, [p.pomdp.prior for p in pool.policies]
-    low, high = (tree(pool, tail, 3, x, beliefs, 2) for tail in (never, seen))
-    assert 0 <= high - low < 0.2 * (low - joint.never)  # narrow enough to see what helping is worth
-    assert joint.lower <= high + 1e-9
-    assert joint.upper >= low - 1e-9

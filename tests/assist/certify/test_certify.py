@@ -30,6 +30,7 @@ from assist.certify import (
 from assist.certify.certificate import horizon, returns
 from assist.certify.prices import SubproblemGroup, groups_of, search
 from assist.certify.relaxed_value import relaxed_value
+from assist.cli.output.person_bounds import show_samples
 from assist.people import Choices, HumanModel, Population
 from assist.person import AssistPOMDP, AttentionSubproblem, OfRobots, Robot, Setting, solve
 from assist.person.attention_subproblem import with_actions
@@ -433,7 +434,7 @@ def test_what_a_bounds_policy_and_its_relaxed_problem_need(pool: Pool) -> None:
         relaxed_value(bound_at(large, (0,), []), episodes=2)
 
 
-def test_a_bound_from_sample_paths_counts_if_there_are_enough(strangers: Pool) -> None:
+def test_a_bound_from_sample_paths_counts_if_there_are_enough(strangers: Pool, capsys: Any) -> None:
     """Of 30 paths it does, and it is the lower one here; fewer are only reported."""
     for paths in (4, 30):
         found = upper_bound(strangers, window=0, gap=1e-2, paths=paths, jobs=1)
@@ -441,6 +442,9 @@ def test_a_bound_from_sample_paths_counts_if_there_are_enough(strangers: Pool) -
         assert found.sampled.paths == paths
         assert found.sampled.upper < found.proven
         assert found.upper == (found.proven if paths < 30 else found.sampled.upper)
+        show_samples(found)
+        said = "4 sample paths are too few for a bound; 30 are needed"
+        assert (said in capsys.readouterr().out) == (paths < 30)
 
 
 def test_a_bound_on_a_truncated_task_holds_for_the_whole_and_has_the_rounds_that_are_asked_for(strangers: Pool) -> None:

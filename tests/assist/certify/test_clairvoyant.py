@@ -32,7 +32,6 @@ from assist.certify.information_relaxation.congestion import Scale, lost
 from assist.certify.information_relaxation.path_search import SamplePath
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
 from assist.certify.prices import groups_of
-from assist.cli.output.person_bounds import show_samples
 from assist.person import Setting, solve
 from assist.person.attention_subproblem import with_actions
 from assist.team.pool import Pool
@@ -384,15 +383,6 @@ def test_sample_paths_on_the_command_line() -> None:
     assert document["upper"] < document["upper_proven"]
 
 
-def test_too_few_sample_paths_give_no_bound(capsys: pytest.CaptureFixture[str]) -> None:
-    """Their mean is reported, and the bound is the proven one."""
-    bound = upper_bound(pool_of(*COSTS[0]), window=4, gap=0.05, paths=5, jobs=1)
-    assert bound.sampled is not None
-    assert (bound.sampled.paths, bound.upper) == (5, bound.proven)
-    show_samples(bound)
-    assert "5 sample paths are too few for a bound; 30 are needed" in capsys.readouterr().out
-
-
 def test_few_paths_say_less() -> None:
     """Numbers of standard errors above the mean, from a table of Student's t; two paths give a very wide interval."""
     for paths, errors in ((2, 31.821), (3, 6.965), (11, 2.764), (100_000, 2.326)):
@@ -485,8 +475,8 @@ def test_alpha_is_best_on_lucks_of_its_own(
 
 
 def test_what_is_sampled_does_not_depend_on_how_many_work_at_a_time() -> None:
-    found = [made(PRICE, workers).sampled(7, 0) for workers in (1, 2, 5)]
-    assert found[0] == found[1] == found[2]
+    found = [made(PRICE, workers).sampled(7, 0) for workers in (1, 3)]
+    assert found[0] == found[1]
     assert found[0].paths == 7
 
 
