@@ -159,7 +159,7 @@ def cases() -> Iterator[tuple[str, set[str], bool, Callable[[], dict[str, Any]]]
     """Yield the name of each case, its axes, whether it is quick, and what computes it.
 
     These are each policy with each feature, and two policies with each two features. The quick ones are each policy
-    without a feature, and these two policies with each feature.
+    without a feature, and one policy with each feature.
     """
     for policy in POLICIES:
         yield policy, {"policies"}, policy != "rollout", partial(found, policy, traced=True)
@@ -168,7 +168,7 @@ def cases() -> Iterator[tuple[str, set[str], bool, Callable[[], dict[str, Any]]]
             if policy == "attention-outlook" and axis != "neighbours":  # there it is attention
                 continue
             for name, feature in named.items():
-                quick = policy in ("attention", "priority") and name != "on demand"
+                quick = policy == "attention" and name != "on demand"
                 yield f"{policy}, {name}", {axis}, quick, partial(found, policy, feature, traced=policy == "attention")
     for policy in ("attention", "priority"):
         for (axis, name), (other, more) in PAIRS:

@@ -181,11 +181,12 @@ def test_teams_that_began_at_different_times_have_each_the_price_of_their_own_st
     assert len({tuple(one) for one in each}) == 4
 
 
-def test_priority_goes_by_the_prices_of_the_steps_to_come(pool: Pool) -> None:
+def test_priority_goes_by_the_prices_of_the_steps_to_come(tiny_choices: Choices) -> None:
     """If all prices are equal they act as one price; prices of past steps have no effect."""
+    pool = Pool.sample(tiny_choices, 3, seed=3, setting=Setting(c_suggest=0.05, gamma=0.9))
     x, prices = [pool.choices(0).initial] * 3, np.array([0.3, 0.0, 0.5, 0.1, 0.4, 0.2])
     # Fetching a box and returning it leads back.
-    assert with_them(pool, np.full(150, 0.2), 2, x) == pytest.approx(with_them(pool, 0.2, 0, x), abs=1e-4)
+    assert with_them(pool, np.full(100, 0.2), 2, x) == pytest.approx(with_them(pool, 0.2, 0, x), abs=1e-4)
     later = with_them(pool, prices, 2, x)
     np.testing.assert_allclose(later, with_them(pool, prices[2:], 0, x), atol=1e-4)
     assert np.abs(np.subtract(later, with_them(pool, prices, 0, x))).max() > 0.01
@@ -403,7 +404,7 @@ def test_the_robot_goes_to_the_largest_index_and_not_for_less_than_the_way(tiny:
 def test_it_helps_as_much_as_priority_does(tiny: Table) -> None:
     pool = Pool.sample(tiny, 4, seed=0, setting=Setting(c_suggest=0.1, c_move=0.1))
     returns = {
-        name: simulate(pool, name, humans=4, episodes=150, seed=1).discounted_return
+        name: simulate(pool, name, humans=4, episodes=60, seed=1).discounted_return
         for name in ("none", "priority", "whittle")
     }
     difference = returns["whittle"] - returns["priority"]

@@ -121,8 +121,8 @@ def test_the_robots_grid_covers_the_people_it_is_told_of(tiny_choices: Choices) 
 def test_exact_knowledge_shares_one_policy(tiny_choices: Choices) -> None:
     pool = Pool.sample(tiny_choices, 6, seed=0, setting=Setting(knowledge="exact", c_suggest=0.5))
     assert len(pool.policies) == 1
-    helped = run(pool, "attention", 3, 200, 0)
-    alone = run(pool, "none", 3, 200, 0)
+    helped = run(pool, "attention", 3, 60, 0)
+    alone = run(pool, "none", 3, 60, 0)
     assert helped.summary().actions[0] < alone.summary().actions[0]
 
 
