@@ -5,8 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from conftest import KITTING, table_of
-from hypothesis import settings
+from conftest import KITTING, costly, table_of
 from hypothesis import strategies as st
 from test_qmdp import GRID
 
@@ -72,4 +71,4 @@ def some_beliefs(solution: Solution, seed: int, count: int = 40) -> tuple[np.nda
 
 NAMES = ["tiny", "sealed", "paper-fixed"]
 seeds = st.integers(0, 2**31)
-few = settings(max_examples=10, deadline=None)
+few = costly(5, 25)

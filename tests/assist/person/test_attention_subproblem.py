@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import graph_task
-from hypothesis import given, settings
+from conftest import costly, graph_task
+from hypothesis import given
 from hypothesis import strategies as st
 from test_goal_bounds import ring
 
@@ -120,7 +120,7 @@ def ends_as_defined(found: AttentionSubproblem) -> None:
         np.testing.assert_array_equal(upper, bounds[i])
 
 
-@settings(max_examples=15, deadline=None)
+@costly(7, 30)
 @given(
     st.lists(edges, min_size=2, max_size=9), st.sampled_from([(0, None), (2, None), (1, 3)]),
     st.lists(st.sampled_from([0.25, 1.0]), max_size=3), st.booleans(), st.integers(0, 10**6),
@@ -151,7 +151,7 @@ def test_each_state_is_as_defined(
             np.testing.assert_array_equal(at, [found.layout.number(step, position, x) for x in range(len(alone.ends))])
 
 
-@settings(max_examples=15, deadline=None)
+@costly(7, 30)
 @given(
     st.lists(edges, min_size=2, max_size=9), st.sampled_from([0, 2]), st.integers(1, 3), st.booleans(),
     st.integers(0, 10**6),

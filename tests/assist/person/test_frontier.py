@@ -37,7 +37,7 @@ numbers = st.fixed_dictionaries(
         "lapse": st.sampled_from([0.0, 1e-3, 0.1]),
     }
 )
-examples = costly(8, 30)
+examples = costly(5, 30)
 
 
 def solvable(drawn: list[tuple[int, int, int]]) -> Table | None:

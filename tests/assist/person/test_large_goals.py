@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import thinned
 from teams import equal
 from test_unknown_goals import three_goals
 
@@ -42,7 +43,7 @@ def pools(goals: Goals, setting: Setting, region: int = EVERYTHING) -> tuple[Poo
 
 
 @pytest.mark.parametrize("policy", ["attention", *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
-@pytest.mark.parametrize("world", ["people", "model"])
+@pytest.mark.parametrize("world", thinned(["people", "model"]))
 def test_with_all_states_episodes_are_those_of_the_whole_task(policy: str, world: Any) -> None:
     whole, part = pools(three_goals("tiny"), SETTING)
     assert isinstance(part.policies[0], TruncatedPolicy)
@@ -51,7 +52,7 @@ def test_with_all_states_episodes_are_those_of_the_whole_task(policy: str, world
     assert (policy == "none") == (not found[0].interventions.any())
 
 
-@pytest.mark.parametrize("knows", ["inferred", "likeliest", "known"])
+@pytest.mark.parametrize("knows", thinned(["likeliest", "inferred", "known"]))
 def test_of_whom_only_the_task_is_known(knows: Any) -> None:
     setting = Setting(c_suggest=0.05, c_move=0.1, max_steps=60, knowledge="exact")
     found = [simulate(pool, "attention", goals=knows, **OPTIONS) for pool in pools(three_goals("tiny"), setting)]
@@ -60,7 +61,7 @@ def test_of_whom_only_the_task_is_known(knows: Any) -> None:
 
 
 @pytest.mark.parametrize("suggestions", ["optimal", "all"])
-@pytest.mark.parametrize("knowledge", ["own", "exact"])
+@pytest.mark.parametrize("knowledge", thinned(["own", "exact"]))
 def test_values_with_all_states_are_those_of_the_whole_task(knowledge: Any, suggestions: Any) -> None:
     """For beliefs in all goals; the robot may suggest what is optimal for any of them."""
     goals, rng = three_goals("tiny"), np.random.default_rng(4)
@@ -226,7 +227,7 @@ def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.Monk
 
 
 def test_a_live_robot_asks_about_goals_of_a_large_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    goals, said = three_goals("sealed"), list[list[Any]]()
+    goals, said = three_goals("tiny"), list[list[Any]]()
     for whole in (True, False):
         monkeypatch.setattr(person_problem, "is_whole", lambda _, whole=whole: whole)
         desk = Assistant(goals, ["ann", "bob"], setting=Setting(c_suggest=0.2, c_move=0.0, c_ask=0.02))

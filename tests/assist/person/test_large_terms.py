@@ -33,9 +33,12 @@ def pools(table: Table, monkeypatch: pytest.MonkeyPatch, **options: Any) -> tupl
 
 @pytest.mark.parametrize("knowledge", thinned(["own", "exact"]))
 @pytest.mark.parametrize("prior", thinned([None, Population()]))
-def test_episodes_with_terms_are_those_of_the_whole_task(prior: Any, knowledge: Any, monkeypatch: Any) -> None:
+@pytest.mark.parametrize("task", thinned(["tiny", "sealed"]))
+def test_episodes_with_terms_are_those_of_the_whole_task(
+    task: str, prior: Any, knowledge: Any, monkeypatch: Any
+) -> None:
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge)
-    both = pools(kit("sealed"), monkeypatch, setting=setting, prior=prior)
+    both = pools(kit(task), monkeypatch, setting=setting, prior=prior)
     for policy in ("none", "attention", "priority"):
         one, other = (simulate(pool, policy, humans=2, episodes=8, seed=3) for pool in both)
         np.testing.assert_array_equal(one.actions, other.actions)
@@ -43,10 +46,11 @@ def test_episodes_with_terms_are_those_of_the_whole_task(prior: Any, knowledge: 
         assert (policy == "none") == (not one.interventions.any())
 
 
-def test_values_with_terms_are_those_of_the_whole_task(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("task", thinned(["tiny", "sealed"]))
+def test_values_with_terms_are_those_of_the_whole_task(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Q-values along random walks, to 1e-9, and probabilities of choices and effects on trust to rounding."""
     setting, rng = Setting(c_suggest=0.1, suggestions="all"), Random(5)
-    whole, part = (pool.policies[0] for pool in pools(kit("sealed"), monkeypatch, setting=setting))
+    whole, part = (pool.policies[0] for pool in pools(kit(task), monkeypatch, setting=setting))
     every, compared = whole.pomdp.model.choices, 0
     for _ in range(12):
         row, place = every.initial, part.problem.task.initial

@@ -85,8 +85,8 @@ def detour_problem(eta: float, gamma: float, **options: object) -> AssistPOMDP:
 
 # eta, gamma, options, and where the tree is cut
 TREES = {
-    "trust moves, all": (0.2, 0.3, {"suggestions": "all"}, 1e-6),
     "trust moves": (0.2, 0.4, {}, 1e-7),
+    "trust moves, all": (0.2, 0.3, {"suggestions": "all"}, 1e-6),
     "execute": (0.2, 0.3, {"robot": OfRobots(c_suggest=0.05, execute=True, c_execute=0.4)}, 1e-7),
     "trust stays": (0.0, 0.4, {}, 1e-7),
     "trust jumps": (5.0, 0.7, {}, 1e-7),

@@ -78,8 +78,8 @@ WAYS: list[tuple[Any, dict[str, Any]]] = [
 CASES = [
     pytest.param(task, *way, marks=[] if way in quick else [pytest.mark.slow])
     for task, quick in (
-        ("sealed", [WAYS[5], WAYS[8], WAYS[10]]),
-        ("costs/ways", [WAYS[2]]),
+        ("sealed", [WAYS[5], WAYS[8]]),  # what is seen badly: `test_states_that_are_possible_keep_their_rows`
+        ("costs/ways", [WAYS[5]]),
     )
     for way in WAYS
 ]
@@ -93,43 +93,48 @@ def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dic
     assert_same(whole, episodes(table, policy, states=len(table) - 1, region=EVERYTHING, **options))
 
 
-@pytest.mark.parametrize(
-    ("suggestions", "knowledge"),
-    [
-        ("optimal", "own"),
-        pytest.param("all", "exact", marks=pytest.mark.slow),
-        pytest.param("optimal", "exact", marks=pytest.mark.slow),
-        pytest.param("all", "own", marks=pytest.mark.slow),
-    ],
-)
-def test_robots_execute_on_rows_as_on_the_whole_task(suggestions: Any, knowledge: Any, monkeypatch: Any) -> None:
+def who_executes(monkeypatch: pytest.MonkeyPatch, suggestions: Any, knowledge: Any, region: int) -> tuple[Pool, Pool]:
+    """The same people and a robot that executes, on the whole task and on a region of it."""
     setting = Setting(
         execute=True, c_suggest=0.3, c_execute=0.5, c_move=0.1, suggestions=suggestions, knowledge=knowledge
     )
-    table, rng = kit("sealed"), Random(1)
-    whole = Pool.sample(table, 3, seed=1, setting=setting)
+    whole = Pool.sample(kit("sealed"), 3, seed=1, setting=setting)
     monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 1)
     monkeypatch.setattr(shared_task, "ROWS", 300)
-    part = Pool.sample(table, 3, seed=1, setting=setting, region=EVERYTHING)
-    one, other = whole.policies[0], part.policies[0]
+    return whole, Pool.sample(kit("sealed"), 3, seed=1, setting=setting, region=region)
+
+
+OF_EXECUTION = thinned([(suggests, knows) for knows in ("exact", "own") for suggests in ("optimal", "all")], 4)
+
+
+@pytest.mark.parametrize("case", OF_EXECUTION)
+def test_robots_execute_on_rows_as_on_the_whole_task(case: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, part = who_executes(monkeypatch, *case, EVERYTHING)
+    (one, *_), (other, *_), rng = whole.policies, part.policies, Random(1)
     for _ in range(20):
-        states = np.array(rng.sample(range(len(table)), 10))
+        states = np.array(rng.sample(range(len(kit("sealed"))), 10))
         belief = np.repeat(one.pomdp.prior[None], len(states), axis=0)
         expected, found = (policy.q_values(policy.rows(states), belief) for policy in (one, other))
         shown = found.shape[1]
         assert not np.isfinite(expected[:, shown:]).any()
         np.testing.assert_allclose(found, expected[:, :shown], rtol=0, atol=1e-9)
-    for policy in ("reactive", "attention", "priority"):
+    for policy in ("attention", "priority"):
         runs = [simulate(pool, policy, humans=2, episodes=8, seed=3) for pool in (whole, part)]
         assert_same(*runs, 8)
         np.testing.assert_array_equal(runs[0].executed, runs[1].executed)
-        assert (policy == "reactive") == (not runs[0].executed.any())
-    cut = Pool.sample(table, 3, seed=1, setting=setting, region=40)
+        assert runs[0].executed.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", OF_EXECUTION)
+def test_robots_that_execute_on_a_part_are_nearly_as_good(case: tuple[Any, Any], monkeypatch: Any) -> None:
+    whole, cut = who_executes(monkeypatch, *case, region=40)
     none, best, near = (
         simulate(pool, policy, humans=2, episodes=50, seed=4).discounted_return.mean()
         for pool, policy in ((cut, "none"), (whole, "attention"), (cut, "attention"))
     )
     assert near - none > 0.8 * (best - none) > 0
+    part = Pool.sample(kit("sealed"), 3, seed=1, setting=whole.setting, region=EVERYTHING)
     exact, same, above = (upper_bound(pool, [0, 1], window=0, gap=1e-3, seed=1).upper for pool in (whole, part, cut))
     assert best - 0.1 < exact
     assert exact == pytest.approx(same, rel=2e-3)
@@ -201,7 +206,7 @@ def test_states_that_are_possible_keep_their_rows(monkeypatch: pytest.MonkeyPatc
     whole, part = (
         Pool.sample(table, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(table), 0)
     )
-    for seed in range(4):
+    for seed in range(2):
         assert_same(*(simulate(pool, "attention", humans=1, episodes=1, seed=seed) for pool in (whole, part)), 1)
     (stamps,) = (policy.problem.now.stamps for policy in part.policies)
     assert stamps.max() > len(stamps)  # rows were used again
@@ -249,14 +254,13 @@ def test_people_of_enumerated_tasks_and_of_others_are_in_one_team(tiny: Table) -
     whole, part = (
         Pool.sample(tiny, 2, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
     )
-    for policy in ("attention", "priority"):
-        same, mixed = (
-            simulate(Pool.joined([whole, other]), policy, humans=3, episodes=8, seed=2) for other in (whole, part)
-        )
-        assert_same(same, mixed)
+    same, mixed = (
+        simulate(Pool.joined([whole, other]), "priority", humans=3, episodes=8, seed=2) for other in (whole, part)
+    )
+    assert_same(same, mixed)
 
 
-@pytest.mark.parametrize("knowledge", ["own", "exact"])
+@pytest.mark.parametrize("knowledge", thinned(["own", "exact"]))
 def test_everybody_may_join_late(tiny: Table, knowledge: Any) -> None:
     """In the first steps no person is present."""
     late, setting = Schedule.of(2, joins=[3, 1]), Setting(knowledge=knowledge, c_suggest=0.2)
@@ -286,7 +290,7 @@ def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> Non
     whole = Pool.sample(fixed, 2, seed=3, setting=setting)
     part = Pool.sample(fixed, 2, seed=3, setting=setting, states=0, region=40)
     returns = {
-        (name, policy): simulate(pool, policy, humans=2, episodes=100, seed=4).discounted_return
+        (name, policy): simulate(pool, policy, humans=2, episodes=40, seed=4).discounted_return
         for name, pool in (("whole", whole), ("part", part))
         for policy in ("none", "attention", "priority")
     }
@@ -368,7 +372,7 @@ def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPa
         means.append(np.mean([robot.bound(path, 0.3) for path in paths]))
         steps.append(np.mean([len(graph.layer) for path in paths for graph in path.graphs]))
     assert steps[1] > steps[0] + 2
-    run = simulate(pool, "priority", humans=[0, 1], episodes=2000, seed=0, world="model").discounted_return
+    run = simulate(pool, "priority", humans=[0, 1], episodes=800, seed=0, world="model").discounted_return
     error = run.std(ddof=1) / np.sqrt(len(run))
     proven = sum(solution.upper for _, solution in parts)
     assert run.mean() - 4 * error < means[1] < means[0] - 0.05 < proven - 0.05
