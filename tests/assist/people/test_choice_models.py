@@ -301,10 +301,9 @@ def test_a_model_of_ones_own_is_used_everywhere(tiny: Table) -> None:
     problem = PersonProblem.of(tiny, population=people)
     exact = solve(problem.pomdp, gap=0.05)
     assert exact.gap <= 0.05
-    for states in (5, len(tiny)):
-        part = solve(PersonProblem.of(OnDemand(tiny.task), population=people, states=states).pomdp, gap=0.05)
-        assert part.lower <= exact.upper
-        assert exact.lower <= part.upper
+    part = solve(PersonProblem.of(OnDemand(tiny.task), population=people, states=len(tiny)).pomdp, gap=0.05)
+    assert part.lower <= exact.upper
+    assert exact.lower <= part.upper
     assert part.lower == pytest.approx(exact.lower, abs=0.01)
 
 
@@ -349,10 +348,6 @@ def test_chances_that_almost_add_up_to_one_are_scaled(tiny: Table) -> None:
 
 
 def test_populations_with_weights_are_checked(tiny: Table) -> None:
-    with pytest.raises(ValueError, match=r"weights.goals .*: expected two numbers"):
-        Population(weights={"goals": (2, 1)})
-    with pytest.raises(ValueError, match="expected one of them"):
-        Population(weights=RANGES, chooses=short_sighted)
     with pytest.raises(ValueError, match="no term 'haste'; expected one of goals, arguments, name, back"):
         Pool.sample(tiny, 2, seed=0, population=Population(weights={"haste": (0, 1)}))
     with pytest.raises(ValueError, match="no term 'goals'; the choices have none"):
@@ -406,7 +401,7 @@ instances = ["{KITTING}/tiny.pddl"]
 humans = [2]
 pool = 2
 draws = 1
-trials = 6
+trials = 3
 policies = ["none", "attention"]
 [populations.boltzmann]
 [populations.habits]

@@ -7,8 +7,8 @@ from collections import Counter
 import numpy as np
 import pytest
 import signals  # bench/signals.py
-from conftest import DOMAINS, KITTING, kit, table_of
-from hypothesis import given, settings
+from conftest import DOMAINS, KITTING, costly, kit, table_of
+from hypothesis import given
 from hypothesis import strategies as st
 
 from assist.declare.refusals import Refusal
@@ -27,7 +27,7 @@ def recovery_of(domain: str, name: str, **options: int) -> ActionRecovery:
     )
 
 
-@settings(max_examples=60, deadline=None)
+@costly(30, 100)
 @given(st.sampled_from(TASKS), st.integers(0, 2**32), st.integers(1, 3), st.integers(0, 8))
 def test_nothing_is_recovered_wrongly_from_complete_reports(
     task: tuple[str, str], seed: int, count: int, start: int
@@ -49,7 +49,7 @@ def test_nothing_is_recovered_wrongly_from_complete_reports(
         assert found.kind == "recovered", "in these tasks, no two actions change the same facts of a state"
 
 
-@settings(max_examples=40, deadline=None)
+@costly(20, 60)
 @given(st.sampled_from(TASKS), st.integers(0, 2**32), st.data())
 def test_one_action_with_lost_reports_is_never_recovered_wrongly(
     task: tuple[str, str], seed: int, data: st.DataObject

@@ -235,33 +235,6 @@ def test_no_policy_exceeds_a_bound(rule: str | TrustRule, states: int) -> None:
         assert found.mean() - 4 * found.std(ddof=1) / np.sqrt(len(found)) <= bound.proven + 1e-9
 
 
-def test_own_people_move_by_the_rule() -> None:
-    """Theta in the trace equals values by hand, for people who receive the same advice from the same policy."""
-
-    class Halves:
-        """Theta halves whenever a suggestion is declined, and stays where it is followed."""
-
-        uses_answer, feedback = True, "never"
-
-        def update(self, theta: np.ndarray, event: Event) -> np.ndarray:
-            return np.where(event.followed, theta, theta / 2)
-
-    setting = Setting(c_suggest=0.0, c_move=0.0, trust=Halves())
-    trace: list[dict] = []
-    pool = Pool.sample(kit("tiny"), 3, seed=0, setting=setting)
-    simulate(pool, "reactive", humans=[0, 1, 2], episodes=20, seed=0, trace=trace)
-    by: dict[tuple[str, str], list[dict]] = {}
-    for row in trace:
-        by.setdefault((row["person"], row["episode"]), []).append(row)
-    declined = 0
-    for rows in by.values():
-        for before, after in itertools.pairwise(rows):
-            refused = before["suggestion"] is not None and before["suggestion"] != before["action"]
-            declined += refused
-            assert after["theta"] == pytest.approx(before["theta"] / (2 if refused else 1))
-    assert declined > 10
-
-
 def advised(follows: Callable[[int], bool], **given: Any) -> tuple[list[float], list[int]]:
     """Return the believed mean of theta after each of twelve suggestions, and the steps at which these were made.
 
@@ -355,7 +328,7 @@ def test_what_the_robot_believes_changes_the_robot_and_nobody_else(trust: str) -
         pool = Pool.sample(kit("tiny"), 2, seed=1, setting=setting, population=advice_takers())
         for policy, by in found.items():
             trace: list[dict] = []
-            result = simulate(pool, policy, humans=[0, 1], episodes=40, seed=2, trace=trace)
+            result = simulate(pool, policy, humans=[0, 1], episodes=15, seed=2, trace=trace)
             by[believed] = [tuple(row["theta"] for row in trace), tuple(result.discounted_return.tolist())]
     assert found["reactive"][None] == found["reactive"]["paper"] == found["reactive"]["constant"]
     for by in found.values():
