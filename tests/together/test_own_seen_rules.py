@@ -83,18 +83,17 @@ def test_a_rule_in_a_file_is_the_same_as_the_object(own: Path) -> None:
     episodes = [simulate(pool, "attention", humans=3, episodes=30, seed=0) for pool in pools]
     assert np.array_equal(episodes[0].discounted_return, episodes[1].discounted_return)
     assert not np.array_equal(episodes[0].discounted_return, episodes[2].discounted_return)
-    bounds = [upper_bound(pool, (0, 1), gap=0.5, window=2).upper for pool in pools[:2]]
+    bounds = [upper_bound(pool, (0, 1), gap=0.5, window=0).upper for pool in pools[:2]]
     assert bounds[0] == bounds[1]
     checked = assist.check(f"{own}:Contagion")
     assert (checked.kind, checked.faults, len(checked.trials)) == ("neighbours", (), 3)
-    assert assist.check(Contagion()).kind == "neighbours"
 
 
 def test_commands_take_a_rule_in_a_file(own: Path, tmp_path: Path) -> None:
     rule, log = f"{own}:strongly", tmp_path / "log.jsonl"
     one = ("--set", "trust=constant", "--set", "c_suggest=0", "--set", "c_move=0", "--set", f"neighbours.rule={rule}")
     done = invoke(
-        "simulate", TINY, "--humans", 3, "--episodes", 8, *one, "--policy", "attention-outlook", "--trace", log
+        "simulate", TINY, "--humans", 3, "--episodes", 4, *one, "--policy", "attention-outlook", "--trace", log
     )
     assert done.exit_code == 0, done.output
     (tmp_path / "own.toml").write_text('neighbours = { rule = "rules.py:strongly" }\n')
@@ -173,7 +172,7 @@ def test_an_impossible_rule_is_refused_where_it_is_given(given: Any, said: str) 
 def test_a_rule_of_ones_own_is_taken_unchanged_in_estimates() -> None:
     given, log = setting(Contagion(), trust="constant", knowledge="exact", c_move=0.0), list[Any]()
     pool = Pool.sample(TINY, 4, seed=0, setting=given)
-    _ = simulate(pool, "attention-outlook", humans=3, episodes=8, seed=0, trace=log)
+    _ = simulate(pool, "attention-outlook", humans=3, episodes=3, seed=0, trace=log)
     seen, method = replayed(TINY, log), Method(neighbours=given.neighbours)
     fit = fit_influence(seen, "constant", method, carry=False)
     assert (fit.rule, fit.intervals, fit.parameters) == ("constant, neighbours Contagion", {}, {"rate": 0.3})

@@ -64,13 +64,13 @@ def own(tmp_path: Path) -> Path:
     return file
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the log of people who sometimes follow suggestions."""
     pool = Pool.sample(TINY, 2, seed=0, setting=Setting(c_suggest=0.01, suggestions="all"))
     rows: list[Any] = []
     _ = simulate(pool, "reactive", humans=2, episodes=4, seed=0, trace=rows)
-    return write_log(tmp_path / "log.jsonl", rows)
+    return write_log(tmp_path_factory.mktemp("log") / "log.jsonl", rows)
 
 
 def test_a_rule_in_a_file_is_the_same_as_the_object(own: Path) -> None:
@@ -82,9 +82,9 @@ def test_a_rule_in_a_file_is_the_same_as_the_object(own: Path) -> None:
     pools = [pool_of(rule) for rule in (Disappointed(0.3), f"{own}:strongly")]
     episodes = [simulate(pool, "attention", humans=2, episodes=20, seed=0).discounted_return for pool in pools]
     assert np.array_equal(*episodes)
-    bounds = [upper_bound(pool, gap=0.2).upper for pool in pools]
+    bounds = [upper_bound(pool, gap=0.2, window=0).upper for pool in pools]
     assert bounds[0] == bounds[1]
-    assert assist.check(f"{own}:Disappointed").faults == assist.check(f"{own}:strongly").faults == ()
+    assert assist.check(f"{own}:strongly").faults == ()
 
 
 def test_commands_take_a_rule_in_a_file(own: Path, log: Path, tmp_path: Path) -> None:

@@ -145,14 +145,9 @@ def _going_on(belief: np.ndarray, goals: Goals, x: int) -> np.ndarray:
 def test_a_single_goal_changes_nothing(tiny: Table) -> None:
     one = Goals({"kit": tiny})
     setting = Setting(c_suggest=0.2)
-    for policy in ("attention", "reactive", "priority"):
-        found = [
-            simulate(Pool.sample(task, 3, seed=1, setting=setting), policy, humans=2, episodes=20, seed=4)
-            for task in (tiny, one)
-        ]
-        assert equal(*found)
     terms = Population(weights={"goals": (0.0, 1.0)})
     for pools in (
+        [Pool.sample(task, 2, seed=1, setting=setting) for task in (tiny, one)],
         [Pool.sample(task, 2, seed=1, setting=setting, population=terms) for task in (tiny, one)],
         [Pool.sample(task, 2, seed=1, setting=setting, states=1, region=5) for task in (tiny, one)],
     ):
@@ -170,7 +165,7 @@ def problem_of(goals: Goals, **more: Any) -> AssistPOMDP:
     return AssistPOMDP.of(HumanModel.exact(goals.choices()), population=SMALL, **more)
 
 
-@pytest.mark.parametrize("name", thinned(["sealed", "tiny"]))
+@pytest.mark.parametrize("name", thinned(["tiny", "sealed"]))
 def test_values_are_averages_over_the_goals(name: str) -> None:
     """With the same robot actions for all goals, the values are those of people whose goal is known."""
     goals, rng = three_goals(name), np.random.default_rng(1)
@@ -481,6 +476,7 @@ def test_sharper_probabilities_lie_between_the_posterior_and_the_likeliest_goal(
 
 def test_the_command(tmp_path: Path) -> None:
     given = ["simulate", KITS / "travel.pddl", "--goals", KITS, "--humans", "2", "--pool", "2", "--episodes", "4"]
+    given += ["--set", "knowledge=exact"]
     results = {}
     for knows in ("inferred", "known"):
         result = invoke(
@@ -490,15 +486,13 @@ def test_the_command(tmp_path: Path) -> None:
         results[knows] = json.loads(result.stdout)
         assert results[knows]["goals"] == {"travel": 0.5, "mend": 0.5, "mount": 0}
     assert results["inferred"]["policies"] != results["known"]["policies"]
-    invoke(*given, "--policy", "none", "--trace", tmp_path / "trace.jsonl")
-    trace = [json.loads(line) for line in (tmp_path / "trace.jsonl").read_text().splitlines()]
-    assert {row["goal"] for row in trace} == {"travel", "mend", "mount"}
     result = invoke(*given[:2], *given[4:], "--set", "goal_prior=travel=1")
     assert (result.exit_code, "--set goal_prior has no effect without --goals" in result.stderr) == (2, True)
     asks = invoke(*given, "--set", "c_ask=0.1", "--trace", tmp_path / "asked.jsonl", "--json")
     questions = json.loads(asks.stdout)["policies"][0]["questions"]
     assert questions > 0
     trace = [json.loads(line) for line in (tmp_path / "asked.jsonl").read_text().splitlines()]
+    assert {row["goal"] for row in trace} == {"travel", "mend", "mount"}
     asked = [(row["question"], row["goal"]) for row in trace if "question" in row]
     assert len(asked) == 4 * questions
     assert all(one["answer"] == (one["goal"] == goal) and one["worth"] > 0 for one, goal in asked)
@@ -521,7 +515,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert (result.exit_code, "expected a task of at most 10 states" in result.stderr) == (1, True)
 
 
-@pytest.mark.parametrize("joins", [(0, 0, 0), (0, 10, 25)])
+@pytest.mark.parametrize("joins", thinned([(0, 10, 25), (0, 0, 0)]))
 @pytest.mark.parametrize("error", thinned([0.2, 0.0]))
 def test_questions_of_an_episode_do_not_depend_on_the_other_episodes(error: float, joins: tuple[int, ...]) -> None:
     """In some steps only other episodes have a free robot, or anybody at work."""
