@@ -15,7 +15,7 @@ from pydantic import Field
 from planner import CostToGo
 from planner.system.errors import InputFileError
 
-from ..declare.declared import AnyTable, AnyText, Number, View, declared, plain
+from ..declare.declared import AnyTable, AnyText, Number, View, Whole, declared, plain
 from ..people.belief import Grid
 from ..people.choice_model import chances
 from ..people.decision import perceived_cost
@@ -53,6 +53,7 @@ class TeamHeader(Header):
     setting: Annotated[AnyTable, Field(description="The fields of `Setting`.")]
     population: Annotated[AnyTable, Field(description="The prior over people.")]
     distance: Annotated[list[list[Number]] | None, Field(description="The distances at first, if they were given.")]
+    humans: Annotated[Whole | None, Field(description="How many people it is served for, if it is.")]
     chances: Annotated[
         dict[str, AnyText] | None,
         Field(description="If people choose by a function, a hash of its probabilities in each task."),
@@ -62,14 +63,16 @@ class TeamHeader(Header):
     ] = None
 
 
-def header_of(desk: Desk, tasks: Mapping[str, CostToGo | Goals], distance: ArrayLike | None) -> TeamHeader:
+def header_of(
+    desk: Desk, tasks: Mapping[str, CostToGo | Goals], distance: ArrayLike | None, humans: int | None
+) -> TeamHeader:
     """Return the header of a session of a team."""
     people, policy = desk.population, desk.policy
     return TeamHeader.of_tasks(
         TeamRecord.format, tasks,
         policy=policy if isinstance(policy, str) else getattr(policy, "name", None),
         setting=plain(Setting.of(desk.setting)), population=plain(people),
-        distance=None if distance is None else np.asarray(distance, dtype=float).tolist(),
+        distance=None if distance is None else np.asarray(distance, dtype=float).tolist(), humans=humans,
         chances=None if people.chooses is None else {name: _chances(task, people) for name, task in tasks.items()},
         moves={name: digest_of_rule(rule) for name, rule in own_rules(desk.setting).items()} or None,
     )  # fmt: skip

@@ -18,7 +18,6 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import takewhile
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -35,7 +34,7 @@ from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice
 from .event_base import Event
-from .events import Joined, Vacant
+from .events import Joined
 from .header import Header, header_of, require_same
 from .history import History
 from .names import LONGEST_REASON, name_of
@@ -65,6 +64,8 @@ class Session(Reports):
         A team policy, as in `Assistant`.
     setting, population, distance
         As in `Assistant`.
+    humans : int, optional
+        How many people it is served for. A session that continues was begun for as many, if a number is given.
     people : PeopleStore, optional
         Where the beliefs in people are kept for later sessions, and taken from when they join for the first time.
     clock : callable
@@ -97,6 +98,7 @@ class Session(Reports):
         setting: Setting | None = None,
         population: Population | None = None,
         distance: ArrayLike | None = None,
+        humans: int | None = None,
         people: PeopleStore | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -104,7 +106,7 @@ class Session(Reports):
         self._options: dict[str, Any] = {
             "policy": policy, "setting": setting, "population": population, "distance": distance,
         }  # fmt: skip
-        self._clock, self._people, self._learned = clock, people, set[str]()
+        self._humans, self._clock, self._people, self._learned = humans, clock, people, set[str]()
         self.changed: Callable[[set[str], Sequence[bool]], None] | None = None
         self.lock = threading.RLock()
         require_database(Path(journal))
@@ -126,14 +128,16 @@ class Session(Reports):
                 self._store.begin(expected)
             else:
                 begun = {name: found.get(name) for name in ("distance",) if name in expected}
-                self._check(found, expected | begun)
+                uncounted = {"humans": found.get("humans")} if self._humans is None else {}
+                self._check(found, expected | begun | uncounted)
                 self._options |= begun  # events begin with these; those in force after the last one are to be the given
             self._resume()
             if isinstance(self._restored, Team) and self._restored.distance != expected["distance"]:
                 self._check({"distance": self._restored.distance}, {"distance": expected["distance"]})
 
     def _header(self) -> Header:
-        return header_of(Team(self._tasks, **self._options).desk, self._tasks, self._options["distance"])
+        team = Team(self._tasks, **self._options)
+        return header_of(team.desk, self._tasks, self._options["distance"], self._humans)
 
     def _check(self, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
         require_same(self._store.file, found, expected)
@@ -420,12 +424,6 @@ class Session(Reports):
     def outlook(self) -> Outlook:
         """Return the team's part of the operator's view: the robots, the last events, and whether it is paused."""
         return self.see(lambda history: history.outlook())
-
-    def began_with(self) -> list[str | None]:
-        """Return the people who joined before anything else happened; None for those whose records were erased."""
-        with self.lock:
-            first = takewhile(lambda record: isinstance(record.event, Joined | Vacant), self._store)
-            return [record.event.person if isinstance(record.event, Joined) else None for record in first]
 
     def fault(self) -> str | None:
         """Return why events cannot be saved now, as far as it is known; None if they can."""

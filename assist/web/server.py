@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import errno
 import logging
-import re
 import signal
 import socket
 from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
@@ -20,7 +19,6 @@ from numpy.typing import ArrayLike
 from starlette.types import ASGIApp
 
 from planner import CostToGo
-from planner.system.errors import InputFileError
 
 from ..declare.catalogue import catalogue
 from ..declare.refusals import InapplicableError, Refusal
@@ -43,9 +41,6 @@ from .tokens import AccessTokens
 
 WAITING = 1024
 """Connections that may wait to be accepted, such as those of a full waiting room."""
-
-SEAT = re.compile(r"(person|simulated)-\d+")
-"""Names of the people with whom a session begins."""
 
 JOURNAL = "journal.sqlite"
 """Name of a session's file in its folder."""
@@ -238,30 +233,14 @@ class ServedTeam:
             people = PeopleStore(store, self.setting.keep_people, except_for=self.simulated)
         session = Session(
             self.tasks, self.folder / JOURNAL, policy=self.policy, setting=self.setting,
-            population=self.population, distance=self.distance, people=people,
+            population=self.population, distance=self.distance, humans=len(self.people), people=people,
         )  # fmt: skip
         if not session.outlook().seq:
             for outcome in session.report_all([Joined(person=name, task=task) for name, task in self.people.items()]):
                 if isinstance(outcome, Exception):
                     session.close()
                     raise outcome
-        try:
-            self._require_same_people(session)
-        except BaseException:
-            session.close()
-            raise
         return session
-
-    def _require_same_people(self, session: Session) -> None:
-        """Refuse a session that began with another number of people; who was added or removed later does not matter."""
-        began = session.began_with()
-        known = sum(name is not None and SEAT.fullmatch(name) is not None for name in began)
-        erased = sum(name is None for name in began)
-        if not known <= len(self.people) <= known + erased:
-            raise InputFileError(
-                f"{self.folder / JOURNAL}: the session there began with {known + erased} people, not "
-                f"{len(self.people)}; expected --humans {known + erased}, or another folder"
-            )
 
     def seats(self) -> SimulatedSeats:
         """Draw the simulated people."""

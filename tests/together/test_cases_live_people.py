@@ -194,14 +194,15 @@ def test_a_session_goes_on_with_as_many_people_as_it_began_with(tiny: Table, tmp
         return team.session()
 
     session = served(3)
+    session.join("person-4")  # before anything else has happened
     session.join("eve")
     session.leave("person-2")
     session.close()
     for humans in (1, 2, 4, 30):
-        with pytest.raises(InputFileError, match=f"began with 3 people, not {humans}; expected --humans 3"):
+        with pytest.raises(InputFileError, match=f"has humans 3, not {humans}"):
             served(humans)
     session = served(3)
-    assert session.people == ("person-1", "person-3", "eve")
+    assert session.people == ("person-1", "person-3", "person-4", "eve")
     session.erase("person-3", "as asked")
     session.close()
     served(3).close()

@@ -74,7 +74,7 @@ def plan_of(team: LiveOptions) -> ServedTeam:
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
     from ...people.goals import first_of
-    from ...web.server import ServedTeam
+    from ...web.server import JOURNAL, ServedTeam
 
     setting, given, problems = team.setting, team.given, team.problems
     humans, simulate, data = team.humans or 0, team.simulate, team.data
@@ -99,7 +99,8 @@ def plan_of(team: LiveOptions) -> ServedTeam:
         right = str(error)
         raise click.UsageError(given.told(DeclarationError(("language",), None, right, right))) from None
     with usage_errors(InputFileError):
-        distance = None if setting.distances is None else travel_of(chosen, humans, setting.distances, given).distance
+        file = setting.distances
+        distance = None if file is None else travel_of(chosen, humans, file, given, more=True).distance
         found = _named(find_instances(team.instances, team.domain))
         if problems and len(found) > 1:
             raise click.UsageError(
@@ -121,10 +122,11 @@ def plan_of(team: LiveOptions) -> ServedTeam:
     names = [*(f"person-{number}" for number in range(1, humans - simulate + 1)), *simulated]
     in_turn = {name: list(tasks)[number % len(tasks)] for number, name in enumerate(names)}
     chosen_tasks = (click.get_current_context().default_map or {}).get("tasks", {})
-    _require_known(chosen_tasks, in_turn, tasks)
-    in_turn |= chosen_tasks
+    goes_on = data is not None and (data / JOURNAL).exists()  # others may have joined, and all have their tasks
+    _require_known(chosen_tasks, {**in_turn, **chosen_tasks} if goes_on else in_turn, tasks)
+    people = {name: chosen_tasks.get(name, task) for name, task in in_turn.items()}
     return ServedTeam(
-        tasks, data or new_folder(), in_turn, policy=chosen_policy, setting=chosen,
+        tasks, data or new_folder(), people, policy=chosen_policy, setting=chosen,
         population=setting.population, distance=distance, simulated=simulated,
     )  # fmt: skip
 
@@ -157,8 +159,9 @@ def changed_settings(
             again.file(config, settings.get("setting", {}), "setting")
             now = again.read().distances
             file = before if fixed or now is None else Path(now)
-            tasks = {name: session.person(name)["task"] for name in session.people}
-            _require_known(settings.get("tasks", {}), tasks, session.tasks)
+            chosen, there = settings.get("tasks", {}), session.people
+            met = session.see(lambda team: [name for name in chosen if team.desk.has_met(name)])
+            _require_known(chosen, {*there, *met}, session.tasks)
         except click.UsageError as error:
             raise ValueError(error.format_message()) from None
         events: list[TeamEvent] = []
@@ -171,8 +174,11 @@ def changed_settings(
                 raise ValueError(f"distances {error}") from None
             except (TypeError, ValueError) as error:
                 raise ValueError(f"distances {file}: {error}") from None
-        chosen = settings.get("tasks", {}).items()
-        events += [Began(person=name, task=task) for name, task in chosen if tasks[name] != task]
+        events += [
+            Began(person=name, task=task)
+            for name, task in chosen.items()
+            if name in there and session.person(name)["task"] != task
+        ]
         present = _fields(config)
         changed = [one for one in {**at_first, **present} if at_first.get(one) != present.get(one)]
         bound = {*OF_SESSION, *(f"setting.{name}" for name in (*names_of(Setting), "population", "goal_prior"))}

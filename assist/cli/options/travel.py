@@ -17,12 +17,18 @@ if TYPE_CHECKING:
     from ...person.travel import Travel
 
 
-def travel_of(setting: Setting, humans: int, distances: str | None, given: Given[Any]) -> Travel:
-    """Return the distances between the stations of a team; a fault is told with the source of the file's name."""
+def travel_of(
+    setting: Setting, humans: int, distances: str | None, given: Given[Any], *, more: bool = False
+) -> Travel:
+    """Return the distances between the stations of a team, of which there may be `more` than people.
+
+    A fault is told with the source of the file's name.
+    """
     if distances is None:
         return setting.travel(humans)
     try:
-        return setting.travel(humans, checked(list[list[Number]], read_json(Path(distances))))
+        matrix = checked(list[list[Number]], read_json(Path(distances)))
+        return setting.travel(max(humans, len(matrix) - 1) if more else humans, matrix)
     except ValueError as error:
         said = str(error).removeprefix(f"{distances}:")
         right = f"{distances}:{' ' * (said == str(error))}{said}"

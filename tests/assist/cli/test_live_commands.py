@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from conftest import DOMAINS, KITTING, invoke
 
-from assist.live import Paused, Session
+from assist.live import Began, Paused, Session
+from assist.live.event_base import TeamEvent
 from assist.live.header import _chances
 from assist.live.live_setting import LiveSetting
 from assist.live.simulated_person import SimulatedPerson
@@ -60,8 +61,8 @@ class Begun:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.sessions: list[Session] = []
 
-        def serve(plan: server.Plan, session: Session, listening: Any, *_: Any) -> None:
-            self.plan = plan
+        def serve(plan: server.Plan, session: Session, listening: Any, *rest: Any) -> None:
+            self.plan, self._read_again = plan, rest[-1]
             self.sessions.append(session)
             listening.close()
 
@@ -72,6 +73,11 @@ class Begun:
         result = invoke("serve", *options, "--port", 0)
         assert result.exit_code == 0, result.output
         return self.sessions[-1]
+
+    def again(self) -> list[TeamEvent]:
+        """Return what follows from the configuration when it is read again."""
+        found: list[TeamEvent] = self._read_again().events
+        return found
 
     def end(self) -> None:
         for session in self.sessions:
@@ -124,6 +130,43 @@ def test_distances_are_those_of_people_in_their_order(begun: Begun, tmp_path: Pa
         assert session.person(far)["suggestion"] is None
     with pytest.raises(ValueError, match="a place for 2 people; expected a larger matrix"):
         session.join("guest")
+
+
+@pytest.mark.cases
+def test_distances_may_have_places_for_people_who_join_later(begun: Begun, tmp_path: Path) -> None:
+    """Also those with which a session goes on after it was read again for one more person."""
+    (file := tmp_path / "distances.json").write_text(json.dumps((1 - np.eye(3)).tolist()))
+    options = (TINY, "--humans", 2, "--data", tmp_path / "data", "--set", f"distances={file}")
+    session = begun(*options)
+    larger = (1 - np.eye(4)).tolist()
+    session.rearrange(larger)
+    session.join("ann")
+    file.write_text(json.dumps(larger))
+    assert begun(*options).people == ("person-1", "person-2", "ann")
+    file.write_text(json.dumps((1 - np.eye(2)).tolist()))
+    refused = invoke("serve", *options[:3], "--port", 0, *options[5:])
+    assert (refused.exit_code, "shape (2, 2): expected (3, 3), 2 people" in refused.stderr) == (2, True)
+
+
+@pytest.mark.cases
+def test_a_table_of_tasks_may_name_whoever_has_joined(begun: Begun, tmp_path: Path) -> None:
+    """Present or not; after a restart everybody goes on with the task at which they were."""
+    config = tmp_path / "line.toml"
+    head = 'instances = ["kitting/tiny", "lockers/one-parcel"]\nhumans = 2\ndata = "data"\n[tasks]\n'
+    config.write_text(head + 'person-2 = "tiny"')
+    session = begun("--config", config)
+    session.join("Zoë B")
+    config.write_text(head + 'person-1 = "tiny"\n"Zoë B" = "one-parcel"')
+    assert begun.again() == [Began(person="Zoë B", task="one-parcel")]
+    session.leave("Zoë B")
+    config.write_text(head + 'person-1 = "one-parcel"\n"Zoë B" = "one-parcel"')
+    assert begun.again() == [Began(person="person-1", task="one-parcel")]
+    session = begun("--config", config)
+    assert [session.person(name)["task"] for name in session.people] == ["tiny", "tiny"]
+    assert begun.again() == [Began(person="person-1", task="one-parcel")]
+    config.write_text(head + 'ann = "tiny"')
+    with pytest.raises(ValueError, match="there is no person 'ann'"):
+        begun.again()
 
 
 def test_people_choose_as_a_function_says(begun: Begun, own: Path, tmp_path: Path) -> None:
