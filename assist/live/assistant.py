@@ -125,18 +125,25 @@ class Assistant(Reports, Desk):
     # What happens.
 
     def report(self, event: TeamEvent) -> Any:
-        """Apply an event.
+        """Apply an event, unless it changes nothing.
 
         Returns
         -------
         object
             What was taken back by `undo`: the action, None if it was one that perhaps was missed, or the answer.
         """
-        number = len(self.records) + 1
-        caused = event.causes(self)
-        found = event.happen(self, number=number, caused=caused)
-        self.records.append(TeamRecord(n=number, event=event, caused=caused, step=self._step))
+        count = len(self.records)
+        recorded = event.accepted(self, count)
+        if recorded is None:
+            return None
+        caused = recorded.causes(self)
+        found = recorded.happen(self, number=count + 1, caused=caused)
+        self.records.append(TeamRecord(n=count + 1, event=recorded, caused=caused, step=self._step))
         return found
+
+    def require(self, person: str) -> None:
+        """Check that a person is present; the error says who is."""
+        self.known(person)
 
     def recommend_all(self) -> tuple[Advice, ...]:
         """Return what each robot does next."""

@@ -75,8 +75,8 @@ class Desk(Knowledge):
         if seq is not None and seq < self.entry(person).asked_at:
             raise InapplicableError("later_question")
 
-    def task_of_newcomer(self, person: str, task: str | None) -> str | None:
-        """Return the task of a person who joins; None if they return to theirs.
+    def task_of_newcomer(self, person: str, task: str | None, *, more: bool = False) -> str | None:
+        """Return the task of a person who joins, perhaps with `more` of their own; None if they return to theirs.
 
         Raises
         ------
@@ -88,8 +88,10 @@ class Desk(Knowledge):
         if self.is_present(person):
             raise InapplicableError("there_already", person=person)
         if self.has_met(person):
-            if task is not None:
-                raise InapplicableError("other", why=f"{person} returns to the task that they left")
+            if task is not None or more:
+                raise InapplicableError(
+                    "other", why=f"{person} returns to the task that they left; `begin` gives them another"
+                )
             return None
         most = 10_000  # people over a whole session, which bounds its memory
         if self.size >= most:
@@ -98,8 +100,10 @@ class Desk(Knowledge):
         self.require_task(found)
         return found
 
-    def has_heard(self, person: str, action: str | None, followed: bool | None, seq: int | None) -> bool:
-        """Return whether a person who acted on a view can have seen the open suggestion; true if none is open.
+    def has_heard(
+        self, person: str, action: str | None, *, heard: bool, followed: bool | None, seq: int | None
+    ) -> bool:
+        """Return whether a person who acted on a view can have seen the open suggestion, unless it is said that not.
 
         Raises
         ------
@@ -113,7 +117,9 @@ class Desk(Knowledge):
         if followed and (offer is None or offer.action.lower() != in_pddl(action or "")):
             said = "nothing is suggested" if offer is None else f"{offer.action} is suggested"
             raise InapplicableError("other", why=f"followed is true and the action {action}, but {said}")
-        return offer is None or seq is None or seq >= offer.number or bool(followed)
+        if followed and not heard:
+            raise Refusal("other", why="followed is true, but heard is false; expected one of them")
+        return heard and (offer is None or seq is None or seq >= offer.number or bool(followed))
 
     @property
     def finished(self) -> bool:

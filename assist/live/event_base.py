@@ -81,6 +81,8 @@ class Event(Recorded):
     """Whether operators see it in the list of events."""
     ends_task: ClassVar[bool] = False
     """Whether a person's work on a task ends, so that what was learned of them is kept."""
+    in_place_of_action: ClassVar[tuple[str, ...]] = ()
+    """Fields that may be given where its field `action` is not."""
     is_action: ClassVar[bool] = False
     """Whether it is what a person did in their task."""
     line: ClassVar[Line | None] = None
@@ -161,6 +163,13 @@ class TeamEvent(Event):
             It is not possible now. Nothing has changed.
         """
         return self
+
+    def accepted(self, desk: Desk, count: int) -> Self | None:
+        """Return the event as `recorded` does, after so many others; its view may not be a later one."""
+        found = self.recorded(desk)
+        if self.view is not None and self.view > count:
+            raise Refusal("other", why=f"seq {self.view}: there is no such view yet; expected {count} or less")
+        return found
 
     def causes(self, desk: Desk) -> tuple[TeamEvent, ...]:  # noqa: ARG002
         """Return the events that it causes for others, in the present state; the record of the event keeps them.

@@ -70,8 +70,8 @@ class Joined(OfPerson):
 
     def recorded(self, desk: Desk) -> Self | None:
         """Name the task of a person who joins for the first time."""
-        task = desk.task_of_newcomer(self.person, self.task)
-        return self.model_copy(update={"task": task, "belief": self.belief if task else None})
+        more = self.population is not None or self.belief is not None
+        return self.model_copy(update={"task": desk.task_of_newcomer(self.person, self.task, more=more)})
 
     @property
     def begins(self) -> str | None:
@@ -143,18 +143,19 @@ class Acted(OfPerson):
     """Whether the suggestion was followed; null if unknown."""
     seq: Seq | None = None
     """`seq` of the view on which the person acted; later suggestions are taken as unseen."""
-    heard: bool = Field(default=True, json_schema_extra=INTERNAL)
+    heard: Truth = True
     """Whether the person had seen the open suggestion, if there is one."""
 
     path: ClassVar[str | None] = "/api/people/{person}/actions"
     nothing: ClassVar[str | None] = "nothing_done"
+    in_place_of_action: ClassVar[tuple[str, ...]] = ("likelihoods", "missed")
     reversible: ClassVar[bool] = True
     is_action: ClassVar[bool] = True
 
     def recorded(self, desk: Desk) -> Self | None:
         """Return the action in PDDL notation, with whether the suggestion was heard."""
         super().recorded(desk)
-        heard = desk.has_heard(self.person, self.action, self.followed, self.seq)
+        heard = desk.has_heard(self.person, self.action, heard=self.heard, followed=self.followed, seq=self.seq)
         seen = desk.seen_of(self.person, self.action, self.likelihoods, self.missed)
         found = {"seq": None, "heard": heard, "action": self.action and in_pddl(self.action), **seen}
         return self.model_copy(update=found)
@@ -274,8 +275,8 @@ class Arrived(TeamEvent):
         return f"(robot {self.robot})"
 
     def recorded(self, desk: Desk) -> Self | None:
-        """Check that there is such a robot and person."""
-        if self.person is not None:
+        """Check that there is such a robot, and a place of this person, who may have left."""
+        if self.person is not None and not desk.has_met(self.person):
             desk.require(self.person)
         desk.require_robot(self.robot)
         return self

@@ -80,7 +80,7 @@ class Reports:
             In place of `action`, the probability that the person has acted in this time step, and nothing was seen. The
             suggestion stays open if it is below 1/2.
         heard : bool
-            Whether the person had seen the open suggestion, if there is one. A session knows it by `seq`.
+            Whether the person had seen the open suggestion, if there is one; `seq` may tell that they had not.
         followed : bool, optional
             Whether the suggestion was followed, if that is known.
         seq : int, optional

@@ -87,9 +87,7 @@ class Team(History[TeamRecord]):
         """
         if not isinstance(event, TeamEvent):
             raise Refusal("other", why=f"event {event.kind!r}: expected one of {', '.join(sorted(kinds(TeamEvent)))}")
-        found = event.recorded(self.desk)
-        if event.view is not None and event.view > self.count:
-            raise Refusal("other", why=f"seq {event.view}: there is no such view yet; expected {self.count} or less")
+        found = event.accepted(self.desk, self.count)
         if found is None:
             return None
         step, time = self.desk.step, round(time, 3)

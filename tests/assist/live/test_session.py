@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, happen
 
 from assist.declare import InapplicableError
+from assist.declare.refusals import Refusal
 from assist.live import Acted, Assistant, Began, Event, Joined, JournalError, Paused, Session
 from assist.live.desk import Desk
 from assist.live.event_base import OfPerson, TeamEvent
@@ -29,6 +30,7 @@ from assist.live.live_setting import LiveSetting
 from assist.live.store import stored
 from assist.live.team import Team
 from assist.person.settings import Setting
+from assist.web.client import request_of
 from planner import InputFileError, Table
 
 
@@ -545,3 +547,41 @@ def test_a_suggestion_that_is_open_again_is_answered_on_a_view_with_it(tiny: Tab
         assert session.log()[-1]["suggestion"] == answered
         session.undo("ann")
     session.close()
+
+
+@pytest.mark.cases
+def test_a_team_in_memory_takes_and_refuses_what_a_saved_session_does(
+    opened: Callable[..., Session], tiny: Table
+) -> None:
+    """Whether a suggestion was heard or followed, the view on which somebody acted, and where a robot has arrived."""
+    session, desk = opened(), Assistant(tiny, setting=SETTING, population=EASY)
+
+    def both(tell: Callable[[Session | Assistant], Any]) -> None:
+        tell(desk)
+        desk.recommend()
+        tell(session)
+
+    both(lambda team: team.join("ann"))
+    both(lambda team: team.observe("ann", "(fetch box-a)", seq=1))
+    assert desk.person("ann").suggestion == session.person("ann")["suggestion"] is not None
+    for refused in (
+        {"seq": 3},
+        {"action": "(return box-a)", "followed": True},
+        {"followed": True, "heard": False},
+        {"action": None, "missed": 0.1, "followed": True},
+    ):
+        told = []
+        for team in (desk, session):
+            with pytest.raises(Refusal) as error:
+                team.observe("ann", **{"action": desk.person("ann").suggestion} | refused)
+            told.append(str(error.value))
+        assert told[0] == told[1]
+    both(lambda team: team.observe("ann", WRONG, heard=False))
+    assert session.beliefs()["ann"] == desk.person("ann").belief.tobytes()
+    assert [row["suggestion"] for row in session.log()] == [row["suggestion"] for row in desk.log()]
+    assert desk.log()[1]["suggestion"] is None
+    both(lambda team: team.leave("ann"))
+    both(lambda team: team.arrived("ann"))
+    assert session.recommend() == desk.recommend()
+    heard = request_of(Acted(person="ann", action="(fetch box-a)", heard=False))
+    assert heard[2] == {"action": "(fetch box-a)", "heard": False}
