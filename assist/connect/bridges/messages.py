@@ -133,17 +133,20 @@ def _names_of(fields: Mapping[str, str]) -> str:
 
 
 def texts_of(content: Mapping[str, Any]) -> Fields:
-    """Return the texts and numbers of a message, as texts.
+    """Return the values of a message, as texts: all but lists, tables in tables, and a null that says nothing.
 
     Raises
     ------
     Refusal
         A text has half a character (an escape in JSON), which cannot be sent.
     """
+    says = {name for kind in kinds(OfPerson).values() for name in kind.never_left_out}
     found = {
-        name: str(value)
+        name: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         for name, value in content.items()
-        if isinstance(value, str | int | float) and not isinstance(value, bool)
+        if isinstance(value, str | int | float)
+        or (isinstance(value, dict) and not any(isinstance(one, dict | list) for one in value.values()))
+        or (value is None and name in says)
     }
     for name, value in found.items():
         try:
@@ -236,19 +239,31 @@ class Report:
 
 
 def _made(kind: type[OfPerson], given: dict[str, Any]) -> OfPerson:
-    """Return an event; texts stand for numbers and truth values where these are expected."""
+    """Return an event; texts stand for truth values and null, and for numbers and tables where these are expected."""
+    words = {name: WORDS[text] for name, text in given.items() if name not in ("person", "id") and text in WORDS}
     try:
-        return kind.model_validate(given)
+        return kind.model_validate(given | words)
     except ValidationError as error:
-        wrong = {str(one["loc"][0]) for one in error.errors() if one["loc"]} & _numbers_in(given)
-        if not wrong:
+        wrong = {str(one["loc"][0]) for one in error.errors() if one["loc"]}
+        others = {name: given[name] for name in wrong & words.keys()}
+        others |= {name: value for name in wrong & given.keys() if (value := _read(given[name])) is not None}
+        if not others:
             raise
-        return kind.model_validate({name: json.loads(one) if name in wrong else one for name, one in given.items()})
+        return kind.model_validate(given | words | others)
 
 
-def _numbers_in(given: Mapping[str, Any]) -> set[str]:
-    """Return the names of texts that are numbers or truth values in JSON."""
-    return {name for name, text in given.items() if re.fullmatch(r"-?\d{1,15}(\.\d{1,15})?|true|false", str(text))}
+WORDS = {"true": True, "false": False, "null": None}
+"""What these texts stand for."""
+
+
+def _read(text: Any) -> Any:
+    """Return the number or table that is written in a text; None for others."""
+    if not re.fullmatch(r"-?\d{1,15}(\.\d{1,15})?([eE]-?\d{1,3})?|\{.*\}", str(text), re.DOTALL):
+        return None
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return None
 
 
 def _template(text: str) -> str:
@@ -329,6 +344,8 @@ class Source:
         try:
             values |= {"action": filled(self.action, fields, names)} if "action" in known else {}
         except Refusal as error:
+            if values.keys() & kinds(OfPerson)[kind].in_place_of_action:
+                return Report(person, identifier, kind, values, number)
             return Report(person, identifier, kind, values, number, str(error))
         return Report(person, identifier, kind, values, number)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -22,6 +24,8 @@ from assist.connect.bridges.opcua_settings import OpcUaSettings, OwnServerSettin
 from assist.connect.bridges.ordering import Acknowledgements, InOrder
 from assist.connect.bridges.ros2_settings import Ros2Settings
 from assist.declare.refusals import Refusal
+from assist.live.event_base import OfPerson
+from assist.live.events import kinds
 
 pytest.importorskip("aiomqtt")
 pytest.importorskip("asyncua")
@@ -194,11 +198,36 @@ def test_a_report_of_no_kind_of_event_is_refused() -> None:
         Report("ann", "1", "undon").event()
 
 
+@pytest.mark.cases
+@pytest.mark.parametrize(
+    ("event", "message", "reported"),
+    [
+        ("answered", '{"answer": true}', {"answer": True}),
+        ("answered", '{"answer": "false"}', {"answer": False}),
+        ("answered", '{"answer": null}', {"answer": None}),
+        ("answered", '{"answer": "(go)"}', {"answer": "(go)"}),
+        ("acted", '{"action": "(go)", "followed": true}', {"action": "(go)", "followed": True}),
+        ("acted", '{"action": "(go)", "followed": "false"}', {"action": "(go)", "followed": False}),
+        ("acted", '{"missed": 0.1}', {"missed": 0.1}),
+        ("acted", '{"missed": 1e-05}', {"missed": 0.00001}),
+        ("acted", '{"likelihoods": {"(go)": 0.5, "(stop)": 1}}', {"likelihoods": {"(go)": 0.5, "(stop)": 1.0}}),
+        ("began", '{"task": "true"}', {"task": "true"}),
+    ],
+)
+def test_a_message_may_have_every_value_that_an_event_has(event: str, message: str, reported: dict[str, Any]) -> None:
+    """Truth values and tables were dropped, so that a question about a goal could not be answered over a bridge."""
+    fields = {"person": "ann", "id": "1"} | fields_of(message.encode())
+    found = Observed(topic="line/{person}", event=event).report(fields, {}).event()
+    assert json.loads(found.reported) == json.loads(kinds(OfPerson)[event](person="ann", id="1", **reported).reported)
+
+
 def test_fields_of_payloads() -> None:
-    assert fields_of(b'{"a": "x", "b": 7, "c": true, "d": [1], "e": null, "f": 1.5}') == {
+    assert fields_of(b'{"a": "x", "b": 7, "c": true, "d": [1], "e": null, "f": 1.5, "answer": null}') == {
         "a": "x",
         "b": "7",
+        "c": "true",
         "f": "1.5",
+        "answer": "null",
     }
     with pytest.raises(Refusal, match="'garbage'; expected a JSON object in UTF-8"):
         fields_of(b"garbage")
