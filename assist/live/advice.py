@@ -52,8 +52,8 @@ class Reason(View):
         tuple[AnyNumber, AnyNumber],
         Field(
             description=(
-                "Interval that contains the mean, and 90 % of the probabilities of following, one for each pair "
-                "of beta and theta, weighted by the belief."
+                "Central interval with 90 % of the belief in the probability of following, and its mean; each pair of "
+                "beta and theta stands for the probabilities around its own."
             )
         ),
     ] = (0.0, 1.0)

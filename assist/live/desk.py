@@ -17,10 +17,11 @@ from ..person.policy import Policy
 from ..person.travel import Travel
 from ..team.state import BASE
 from .advice import Advice, PersonState, Question
-from .beliefs import answers, likeliest_cost_to_go, worth_of_asking
+from .beliefs import answers, is_uncertain, likeliest_cost_to_go, worth_of_asking
 from .explanation import Explanation
 from .knowledge import Knowledge
 from .names import is_name
+from .roster import RosterEntry
 from .uncertain_actions import seen_of
 
 Task = CostToGo | Goals | Policy
@@ -114,12 +115,19 @@ class Desk(Knowledge):
             raise Refusal("other", why="followed: expected an action that was seen")
         entry = self.known(person)
         offer = entry.offer
-        if followed and (offer is None or offer.action.lower() != in_pddl(action or "")):
+        if followed and (offer is None or offer.action.lower() != self._meant(entry, action or "")):
             said = "nothing is suggested" if offer is None else f"{offer.action} is suggested"
             raise InapplicableError("other", why=f"followed is true and the action {action}, but {said}")
         if followed and not heard:
             raise Refusal("other", why="followed is true, but heard is false; expected one of them")
         return heard and (offer is None or seq is None or seq >= offer.number or bool(followed))
+
+    def _meant(self, entry: RosterEntry, action: str) -> str:
+        """Return the action that a report means, in lower case; last ones may be missing where states are certain."""
+        if is_uncertain(entry, self.setting.observation):
+            return in_pddl(action)
+        row = self.roster.row(entry)
+        return entry.problem.choices.name(row, entry.problem.slot(row, action)).lower()
 
     @property
     def finished(self) -> bool:

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from ...person.travel import Travel
 
 
-def travel_of(
-    setting: Setting, humans: int, distances: str | None, given: Given[Any], *, more: bool = False
-) -> Travel:
+def travel_of(setting: Setting, humans: int, distances: str | None, given: Given[Any], *, more: bool = False) -> Travel:
     """Return the distances between the stations of a team, of which there may be `more` than people.
 
     A fault is told with the source of the file's name.

@@ -463,7 +463,7 @@ def test_policies_that_do_not_weigh_costs() -> None:
     assert nothing.reason == "never"
     assistant = team("kitting/tiny", policy="reactive")
     found = assistant.recommend().explanation
-    assert found.text() == "I step in after a mistake, and nobody's last step was one."
+    assert found.text() == "I step in after a mistake, and of those without a suggestion, nobody's last step was one."
     assistant.observe("ann", "(fetch box-a)")
     assistant.observe("ann", "(return box-a)")
     assert assistant.erred("ann")

@@ -550,6 +550,17 @@ def test_a_suggestion_that_is_open_again_is_answered_on_a_view_with_it(tiny: Tab
 
 
 @pytest.mark.cases
+def test_a_suggestion_may_be_followed_by_an_action_without_its_last_arguments(opened: Callable[..., Session]) -> None:
+    session = opened()
+    session.join("ann")
+    assert session.observe("ann", "(fetch box-a)")["suggestion"] == "(place hammer slot-1 box-a)"
+    with pytest.raises(InapplicableError, match="followed is true"):
+        session.observe("ann", "(place hammer slot-2)", followed=True)
+    session.observe("ann", "(place hammer slot-1)", followed=True)
+    assert session.log()[-1]["suggestion"] == session.log()[-1]["action"] == "(place hammer slot-1 box-a)"
+
+
+@pytest.mark.cases
 def test_a_team_in_memory_takes_and_refuses_what_a_saved_session_does(
     opened: Callable[..., Session], tiny: Table
 ) -> None:
