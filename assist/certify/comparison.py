@@ -63,11 +63,12 @@ class Comparison:
         travel = options.get("travel") or pool.setting.travel(len(team))
         runs = {name: Simulated(pool, policy, team, travel, seed=seed_number) for name, policy in policies.items()}
         problems = [pool.policies[model].problem for model in pool.model[list(team)]]
+        upper = math.inf
         if first is not None and all(problem.whole for problem in problems):
             upper = free_attention_bound(pool, team, travel)
             _simulate(runs, min(episodes, FIRST_EPISODES), None, progress)
             first(_certificates(runs, upper, math.nan))
-        bound = upper_bound(pool, time_limit=limit, seed=seed_number, progress=progress, **options)
+        bound = upper_bound(pool, time_limit=limit, seed=seed_number, progress=progress, **options).at_most(upper)
         return cls(bound, runs, episodes, None if time_limit is None else start + time_limit)
 
     def simulate(self, progress: Progress) -> None:

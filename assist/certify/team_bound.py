@@ -49,7 +49,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
 from planner.system.progress import Wanted, shows_progress
@@ -125,6 +125,13 @@ class TeamBound(Result):
 
     def __post_init__(self) -> None:
         self.price.flags.writeable = False
+
+    def at_most(self, upper: float) -> TeamBound:
+        """Return the smaller of this bound and another proven one; a search that ends early may not have reached it."""
+        lower = max(0.0, self.upper - upper)
+        return replace(
+            self, upper=min(self.upper, upper), proven=min(self.proven, upper), slack=max(0.0, self.slack - lower)
+        )
 
     def policy(self) -> Priority:
         """Return the priority policy at this bound's prices, one for each step, for this team from its beginning.

@@ -76,7 +76,7 @@ class Decisions:
             if key not in self.solved:
                 made = LiveTask(task, self._setting, population)
                 if self._setting.observation is not None:
-                    self._setting.observation.evidence(made.choices, 0)  # raises an error if unsuitable
+                    self._setting.observation.require_actions_of(made.choices)
                     prepare_uncertain(made)
                 self.solved[key] = made
             self._problems[key] = self.solved[key]

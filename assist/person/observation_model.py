@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
+from planner.system.errors import nearest
+
 from ..declare.declared import Number, declared
 
 if TYPE_CHECKING:
@@ -33,7 +35,10 @@ class ObservationModel:
     miss: Annotated[Share, Field(description="Probability that an action is not seen.")] = 0.0
     confusion: Annotated[
         Share | dict[str, dict[str, Share]],
-        Field(description="Probability that an action that is seen is taken for another one, or a table of such."),
+        Field(
+            description="Probability that an action that is seen is taken for another one; or, for some actions, a "
+            "table of the actions that are seen in their place, with probabilities."
+        ),
     ] = field(default=0.0, hash=False)
 
     def __post_init__(self) -> None:
@@ -55,6 +60,11 @@ class ObservationModel:
         table = self.confusion
         confused = any(map(_total, table.values())) if isinstance(table, Mapping) else table
         return not (self.miss or confused)
+
+    def require_actions_of(self, choices: Choices) -> None:
+        """Raise a ValueError if a table of confusions has an action that is none of a task's."""
+        if isinstance(self.confusion, Mapping):
+            _numbers(choices, self.confusion)
 
     def evidence(self, choices: Choices, seen: int | None) -> Evidence:
         """Return the likelihood of each action of a task after an action was seen, or nothing (None)."""
@@ -108,7 +118,11 @@ def _numbers(choices: Choices, table: Table) -> dict[str, int]:
         numbers.setdefault(name, n)  # as in `choices.actions`
     for name in (*table, *(seen for row in table.values() for seen in row)):
         if name not in numbers:
-            raise ValueError(f"confusion: {name} is no action of this task")
+            near = nearest(name, numbers) or next(iter(choices.names))
+            raise ValueError(
+                f"observation: confusion: {name} is no action of the task; expected actions with all arguments, "
+                f"such as {near}"
+            )
     return numbers
 
 

@@ -239,7 +239,10 @@ class Pool(Result):
         number = np.arange(them.size) if len(policies) > 1 else np.zeros(them.size, dtype=np.int64)
         solving.pop("time_limit", None)
         again = partial(cls._at, table, them, prior=prior, **solving)
-        return cls(setting, tuple(people), tuple(policies), number, again, table)
+        pool = cls(setting, tuple(people), tuple(policies), number, again, table)
+        if setting.observation is not None:
+            setting.observation.require_actions_of(pool.choices(0))
+        return pool
 
     def under(self, setting: Setting) -> Pool:
         """Return the same people at the same task, with another setting of the robot.

@@ -215,11 +215,18 @@ def test_an_observation_model_is_saved_with_its_setting_and_wrong_ones_are_refus
         ObservationModel(0.0, {"(a)": {"(a)": 0.5}})
     with pytest.raises(ValueError, match="seen as they are"):
         Setting(observation=ObservationModel(0.1), execute=True)
-    pool = Pool.sample(
-        kit("tiny"), 1, seed=1, setting=Setting(observation=ObservationModel(0, {"(fly)": {"(a)": 0.5}}))
-    )
-    with pytest.raises(ValueError, match=r"\((fly|a)\) is no action of this task"):
-        simulate(pool, "attention", humans=1, episodes=1, seed=1)
+
+
+def test_confusions_with_actions_that_the_task_does_not_have_are_refused() -> None:
+    unknown = Setting(observation=ObservationModel(0, {"(fetch box-a)": {"(fetch box-x)": 0.5}}))
+    with pytest.raises(ValueError, match=r"\(fetch box-x\) is no action of the task; .*such as \(fetch box-[ab]\)"):
+        Pool.sample(kit("tiny"), 1, seed=1, setting=unknown)
+    for command in ("simulate", "serve"):
+        found = invoke(
+            command, "kitting/tiny", "--humans", 1, "--set", "observation.confusion={fetch = {return = 0.1}}"
+        )
+        assert found.exit_code == 2
+        assert "confusion: (fetch) is no action of the task; expected actions with all arguments" in found.stderr
 
 
 def test_the_command_simulates_errors_of_observation() -> None:
