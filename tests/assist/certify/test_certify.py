@@ -324,6 +324,20 @@ def test_the_first_bound_is_moved_up_by_what_rounding_may_take(pool: Pool, stran
         assert abs(exact) / 10**12 < found - exact < abs(exact) / 10**9
 
 
+def test_the_bound_is_not_above_the_one_that_was_announced() -> None:
+    """One round of prices leaves this team a looser bound than free attention with all known, which is there first."""
+    pool = Pool.sample("kitting/tiny", 3, seed=1, setting=Setting(c_suggest=0.5, c_move=0.5))
+    loose: Any = {"gap": 0.99, "options": BoundOptions(1, 20)}
+    first: list[Certificate] = []
+    made = comparison.Comparison.of(
+        pool, {"none": "none"}, episodes=100, seed=0, time_limit=None, progress=lambda *_: None, first=first.extend,
+        **loose,
+    )  # fmt: skip
+    alone, announced = team_bound.upper_bound(pool, seed=0, **loose), first[0].upper
+    assert made.bound.upper == made.bound.proven == announced < alone.upper
+    assert made.bound.upper - made.bound.slack == pytest.approx(alone.upper - alone.slack)
+
+
 def test_a_bound_does_not_depend_on_who_works_on_it(strangers: Pool, bound: TeamBound) -> None:
     told: list[tuple[str, int, int]] = []
     other = upper_bound(strangers, window=4, gap=1e-6, jobs=1, progress=lambda *what: told.append(what))
