@@ -3,7 +3,8 @@
 A task has a few objects of one type, two predicates, functions that are static, bounded by guards, only growing, going
 both ways with a conserved sum, without an initial value, or read by nothing, and two to four actions. Each draw chooses
 which of these it has, with or without durations and a metric. With `free`, functions that nothing bounds but what can
-be reached go up, down, or by the value of another one, often in turn.
+be reached go up, down, or by the value of another one, often in turn. With `edges`, numbers begin beyond what is
+compared, assignments read what they assign, conditions of effects read numbers of all objects, and a type has none.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ FREE_KINDS, FREE_CHANCES = ("free", "guarded", "price"), (0.6, 0.25, 0.15)
 
 
 class _Draw:
-    def __init__(self, rng: np.random.Generator, free: bool) -> None:
+    def __init__(self, rng: np.random.Generator, free: bool, edges: bool) -> None:
         self.rng = rng
+        self.edges = edges
         self.free = free
         self.durative = bool(rng.random() < 0.5)
         self.objects = [f"o{i}" for i in range(rng.integers(1, 4))]
@@ -105,6 +107,10 @@ class _Draw:
         if kind == "static":
             return [], []
         target = function.of(term)
+        if self.edges and kind in ("guarded", "unset", "grows") and self.often(0.4):
+            change = f"(assign {target} {self.any([f'(+ {target} {step})', f'(+ 1 {target})', f'(- {target} -1)'])})"
+            within = self.any(["{}", "(forall (?z - thing) {})", "(forall (?z - thing) (when (p ?z) {}))"])
+            return [f"(<= {target} {function.top})"], [within.format(change)]
         if kind in ("guarded", "unset"):
             way = self.any(["up", "up", "down", "assign", "copy", "when"])
             if way == "up":
@@ -132,6 +138,13 @@ class _Draw:
         amount = self.static(term) if kind in ("price", "dead") or self.often(0.3) else step
         return [], [f"(increase {target} {amount})"]
 
+    def without_objects(self, fact: str) -> str:
+        """Return a condition with a quantifier over no objects, which does not always decide it."""
+        some = self.any(
+            [f"(exists (?e - none) {fact})", "(exists (?e - none) (and))", "(not (forall (?e - none) (and)))"]
+        )
+        return self.any([f"(forall (?e - none) {fact})", f"(not {some})", f"(or {fact} {some})"])
+
     def action(self, index: int) -> str:
         self.timed = self.durative and self.often(0.85)
         terms = ["?x", "?y"][: int(self.rng.integers(1, 3))]
@@ -158,6 +171,10 @@ class _Draw:
             effects.append(f"(when {self.comparison(first)} (q {first}))")
         if self.often(0.2):
             effects.append("(forall (?z - thing) (when (q ?z) (p ?z)))")
+        if self.edges and self.often(0.5):
+            effects.append(f"(forall (?z - thing) (when {self.comparison('?z')} ({self.any(['p', 'q'])} ?z)))")
+        if self.edges and self.often(0.3):
+            conditions.append(self.without_objects(f"(p {first})"))
         name = f"a{index}"
         parameters = f":parameters ({' '.join(terms)} - thing)"
         if self.timed:
@@ -182,7 +199,8 @@ class _Draw:
                 if each.kind == "unset" and self.often(0.7):
                     continue
                 low = 1 if each.kind == "static" else 0
-                value = self.number(low, each.top - 1) if each.kind != "pair" else str(self.rng.integers(0, 3))
+                top = each.top + 3 if self.edges and each.kind == "grows" else each.top - 1
+                value = self.number(low, top) if each.kind != "pair" else str(self.rng.integers(0, 3))
                 init.append(f"(= ({f'{each.name} {name}'.strip()}) {value})")
         goals = [f"({self.any(['p', 'q'])} {self.any(self.objects)})"] if self.often(0.7) else []
         function = self.some("guarded", "grows", "pair", "unset", "free")
@@ -192,6 +210,8 @@ class _Draw:
             goals.append(f"({sign} {function.of(name)} {self.number(1 if sign == '<=' else 2, function.top)})")
         if self.often(0.5):
             goals.append(f"(not (q {self.any(self.objects)}))")
+        if self.edges and self.often(0.3):
+            goals.append(self.without_objects(f"(p {self.any(self.objects)})"))
         if not goals:
             goals.append(f"(p {self.objects[0]})")
         metric = ""
@@ -207,15 +227,16 @@ class _Draw:
             for part in parts[1:]:
                 whole = f"(+ {whole} {part})"
             metric = f"\n  (:metric minimize {whole})"
+        types = "thing none" if self.edges else "thing"
         needed = ":durative-actions :duration-inequalities" if self.durative else ""
         domain = (f"(define (domain drawn)\n  (:requirements :adl :typing :numeric-fluents {needed})\n"
-                  f"  (:types thing)\n  (:predicates (p ?x - thing) (q ?x - thing))\n  (:functions {declared})\n"
+                  f"  (:types {types})\n  (:predicates (p ?x - thing) (q ?x - thing))\n  (:functions {declared})\n"
                   + "\n".join(actions) + ")\n")  # fmt: skip
         problem = (f"(define (problem drawn-1) (:domain drawn)\n  (:objects {' '.join(self.objects)} - thing)\n"
                    f"  (:init {' '.join(init)})\n  (:goal (and {' '.join(goals)})){metric})\n")  # fmt: skip
         return Texts(domain, problem)
 
 
-def draw(seed: int, *, free: bool = False) -> Texts:
+def draw(seed: int, *, free: bool = False, edges: bool = False) -> Texts:
     """Return the task of a seed."""
-    return _Draw(np.random.default_rng(seed), free).texts()
+    return _Draw(np.random.default_rng(seed), free, edges).texts()

@@ -199,6 +199,8 @@ CASES = {
         "duration": DURATIONS,
         "empty": EMPTY,
         "assigned": ASSIGNED,
+        "divided": DIVIDED,
+        "unread": UNREAD,
     }.items()
     for name, case in cases.items()
 }

@@ -17,9 +17,9 @@ from planner.pddl.reader import read
 from planner.pddl.value_ranges import UnprovenError
 
 
-def compared(seed: int, folder: Path, *, free: bool = False) -> str:
+def compared(seed: int, folder: Path, *, free: bool = False, edges: bool = False) -> str:
     """Compare a random task with the direct search; return how it was solved, or an empty text if it was not."""
-    texts = random_numeric.draw(seed, free=free)
+    texts = random_numeric.draw(seed, free=free, edges=edges)
     direct = Direct(texts.domain, texts.problem)
     try:
         answer: Answer = direct.search(400)
@@ -88,3 +88,15 @@ def test_random_tasks_whose_numbers_nothing_bounds(first: int, tmp_path: Path) -
 @pytest.mark.parametrize("first", range(1_000, 1_500, 100))
 def test_more_random_tasks_whose_numbers_nothing_bounds(first: int, tmp_path: Path) -> None:
     assert sum(compared(seed, tmp_path, free=True) == "swept" for seed in range(first, first + 100)) >= 10
+
+
+@pytest.mark.parametrize("first", thinned(range(10, 70, 10), 3))
+def test_random_tasks_with_what_is_seldom_written(first: int, tmp_path: Path) -> None:
+    """Numbers beyond all thresholds, assignments that read what they change, conditions on all objects or on none."""
+    assert sum(bool(compared(seed, tmp_path, edges=True)) for seed in range(first, first + 10)) >= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(1_000, 2_000, 100))
+def test_more_random_tasks_with_what_is_seldom_written(first: int, tmp_path: Path) -> None:
+    assert sum(bool(compared(seed, tmp_path, edges=True)) for seed in range(first, first + 100)) >= 20
