@@ -79,6 +79,11 @@ class Record(Recorded):
         except ValidationError as error:
             raise ValueError(fault_of(cls, error, text)) from None
 
+    @property
+    def begins_for_others(self) -> bool:
+        """Whether others begin something by it, so that its time is theirs, too."""
+        return False
+
     def text(self) -> str:
         """Return the record as JSON."""
         return self.model_dump_json()

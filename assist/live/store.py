@@ -290,7 +290,8 @@ class EventStore(Generic[R]):
             new: dict[str, Any] = {"record": after.text(), "answer": None if answered is None else _text(answered)}
             if owner == person:
                 id = after.event.id
-                new |= {"at": None, "person": after.event.who or "", "reporter": after.event.reporter}
+                new |= {"person": after.event.who or "", "reporter": after.event.reporter}
+                new |= {} if after.begins_for_others else {"at": None}
                 new |= {"id": id, "reported": None if id is None else after.event.reported}
             with self._sqlite_errors():
                 self._db.execute(

@@ -182,7 +182,8 @@ class Cohort(Teams, History[StudyRecord]):
     def without(self, person: str, label: str) -> Change:
         """Return a function that removes what is recorded of a participant from a record and its answer.
 
-        The order of arrival and the assigned condition remain, on which the conditions of others depend.
+        The order of arrival and the assigned condition remain, on which the conditions of others depend. So does the
+        time at which others began a condition because the participant came.
 
         Parameters
         ----------
@@ -204,8 +205,9 @@ class Cohort(Teams, History[StudyRecord]):
                 shared = {"members": members, "team": tuple(of_team(sub, None)[0] for sub in record.team)}
                 record = record.model_copy(update=shared)
                 shared |= {"group": record.group, "period": record.period, "condition": record.condition}
-            if record.event.who != who.code:
+            if record.event.who != who.code or record.begins_for_others:
                 before = record.time
+            if record.event.who != who.code:
                 return record, answer
             event: StudyEvent = Erased()
             if not here:
@@ -295,9 +297,12 @@ class Cohort(Teams, History[StudyRecord]):
         return EnrolledView(**vars(seen), condition=who.condition, status=who.status, simulated=who.simulated)
 
     def beliefs(self) -> dict[str, bytes]:
-        """Return the beliefs about all members of teams that have begun a task, as exact bytes."""
-        groups = (group for who in self.participants.values() for group in who.at_tasks())
-        return {person: belief for group in groups for person, belief in group.team.beliefs().items()}
+        """Return the belief about each member of a team that has begun a task, in their latest team, as exact bytes."""
+        every = [one for who in self.participants.values() for one in who.teams.items() if one[0][0] == "task"]
+        every.sort(key=lambda one: one[0])  # by period: in the order of participants, what is said of one would depend
+        return {
+            person: belief for _, team in every for person, belief in team.team.beliefs().items()
+        }  # on who is there
 
     @property
     def advices(self) -> tuple[Advice, ...]:

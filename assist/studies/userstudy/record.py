@@ -83,6 +83,11 @@ class StudyRecord(Record):
             if not person.removed:
                 roll.enter(person, roll.study.begins_at(self.period), self.time)
 
+    @property
+    def begins_for_others(self) -> bool:
+        """Whether others of a group begin a condition by it."""
+        return len(self.members) > 1
+
     def group_in(self, roll: Roll) -> Group:
         """Return the group of the record, which is new unless it has begun."""
         return roll.groups.setdefault(str(self.group), Group(self.members, str(self.condition)))

@@ -44,18 +44,18 @@ def answered(session: StudySession, *names: str) -> list[Part]:
     return parts
 
 
-def of_others(session: StudySession, name: str) -> Any:
-    """Return everything that is seen and recorded of the others."""
+def of_others(session: StudySession, *names: str) -> Any:
+    """Return everything that is seen and recorded of all but these."""
     found = tables(session.study, session.folder / JOURNAL)
     rows = [
         row
         for table in (found.participants, found.tasks, found.actions, found.answers, found.events)
         for row in table
-        if row["participant"] != name
+        if row["participant"] not in names
     ]
-    views = {one: session.entry(one) for one in session.people if one != name}
-    beliefs = {one: belief for one, belief in session.beliefs().items() if not one.startswith(name)}
-    return views, rows, beliefs, [row for row in session.log() if row["person"] != name], session.cohort.begun
+    views = {one: session.entry(one) for one in session.people if one not in names}
+    beliefs = {one: belief for one, belief in session.beliefs().items() if not one.startswith(names)}
+    return views, rows, beliefs, [row for row in session.log() if row["person"] not in names], session.cohort.begun
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -154,6 +154,40 @@ def test_what_a_member_of_a_group_withdraws_is_gone_and_the_others_go_on(opened:
         Part(session, part.name).to("thanks")
     (row,) = [row for row in tables(session.study, session.folder / JOURNAL).participants if row["status"] != "done"]
     assert (row["participant"], row["status"], row["group"], row["stage"]) == (eve.name, "withdrew", "G1", "task tiny")
+
+
+@pytest.mark.parametrize("design", ["between", "within"])
+def test_who_came_last_to_a_group_and_withdraws_changes_nothing_of_the_others(opened: Open, design: str) -> None:
+    """Her coming began the others' task; within participants, they may be at a later condition by then."""
+    text = GROUPED.replace("size = 3", "size = 2").replace("seed = 3", f'seed = 3\ndesign = "{design}"\nminutes = 1')
+    session, now = opened(text), [0.0]
+    session._clock, session._began = (lambda: now[0]), 0.0
+    ann, eve = parts = [Part(session, name) for name in ("ann", "eve")]
+    for part in parts:
+        now[0] += 30.0
+        part.come()
+        part.to("practice")
+        part.finish()
+        part.onward()
+    began = now[0]
+    for part in parts:
+        now[0] += 2.0
+        part.errs()
+    if design == "within":
+        eve.report("left")
+        ann.to("waiting 2")
+        ann.report("expired")
+        began = now[0]
+        now[0] += 2.0
+        ann.errs()
+    before = of_others(session, "eve")
+    eve.report("withdrew")
+    assert of_others(session, "eve")[1:] == before[1:]
+    assert session.cohort.participants["ann"].entered == began
+    session.erase("eve", "wrote a letter")
+    assert of_others(session, "eve", "(erased 1)")[1:] == before[1:]
+    session.close()
+    assert of_others(opened(text), "eve", "(erased 1)")[1:] == before[1:]
 
 
 def test_what_was_withdrawn_before_is_removed_when_the_study_goes_on(
