@@ -97,7 +97,7 @@ class Desk(Knowledge):
         most = 10_000  # people over a whole session, which bounds its memory
         if self.size >= most:
             raise InapplicableError("other", why=f"{most} people have been here; there is no place for {person}")
-        found = task or next(iter(self.tasks))
+        found = next(iter(self.tasks)) if task is None else task
         self.require_task(found)
         return found
 

@@ -12,6 +12,7 @@ stored one.
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import re
@@ -261,7 +262,9 @@ class Session(Reports):
             # The batch cannot be saved. What is answered already is answered again.
             done = outcomes + [error] * (len(events) - len(outcomes))
             return [
-                outcome if isinstance(outcome, Exception) and outcome is not error else self._known(event) or error
+                outcome
+                if isinstance(outcome, Exception) and outcome is not error
+                else self._known(event, self.history) or error
                 for event, outcome in zip(events, done, strict=True)
             ]
         self._unsaved = False
@@ -273,7 +276,7 @@ class Session(Reports):
     def _outcome(self, history: History[Any], event: Event, touched: set[str], followed: list[bool]) -> Outcome:
         """Apply an event within the transaction, and return its outcome."""
         try:
-            known = self._known(event)
+            known = self._known(event, history)
             if known is None and isinstance(event, Joined):
                 event = self._carried(history, event)
             record = None if known is not None else history.happen(event, self.now())
@@ -281,10 +284,9 @@ class Session(Reports):
             return error
         if known is not None:
             return known
-        of_robot = event.shows == "robot" or event.who is None
-        number = getattr(event, "robot", 1)
-        answer = (history.robot(number) if of_robot else history.person(event.who or "")).as_dict()
+        answer = _answer(history, event)
         if record is None:
+            self._store.remember(event)
             return answer
         self._store.add(record, answer, event, at=utc())
         touched |= history.touched(record)
@@ -294,8 +296,11 @@ class Session(Reports):
             self._learned.add(event.who or "")
         return answer
 
-    def _known(self, event: Event) -> Outcome | None:
-        """Return the stored answer if this event was applied before under its id, a refusal if another was, or None."""
+    def _known(self, event: Event, history: History[Any]) -> Outcome | None:
+        """Return the answer if this event was reported before under its id, a refusal if another was, or None.
+
+        It is the first answer; that of an event which changed nothing is the present view.
+        """
         try:
             found = self._store.answer(event)
         except UnicodeEncodeError:
@@ -303,9 +308,9 @@ class Session(Reports):
         if found is None:
             return None
         reported, answer = found
-        if reported != event.reported:
+        if json.loads(reported) != json.loads(event.reported):  # in any order of their fields
             return InapplicableError("other", why=f"the id {event.id!r} belongs to another event; expected a new id")
-        return answer
+        return _answer(history, event) if answer is None else answer
 
     def erase(self, person: str, reason: str) -> Tombstone:
         """Erase all that is recorded of a person, for good, and return what remains: when and why.
@@ -462,6 +467,13 @@ class Session(Reports):
     def beliefs(self) -> dict[str, bytes]:
         """Return the belief about each present person, as the bytes of its array."""
         return self.see(lambda history: history.beliefs())
+
+
+def _answer(history: History[Any], event: Event) -> dict[str, Any]:
+    """Return the view of the person or robot whom an event concerns."""
+    if event.shows == "robot" or event.who is None:
+        return history.robot(getattr(event, "robot", 1)).as_dict()
+    return history.person(event.who).as_dict()
 
 
 def _same(before: bytes, after: bytes) -> bool:

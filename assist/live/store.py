@@ -72,11 +72,21 @@ class EventRow:
     answer: Annotated[AnyText | None, Field(description="What was answered, as JSON; kept if there is an id.")]
 
 
+@declared
+class Unchanged:
+    """A row of the table `unchanged`: a report that has changed nothing, so that it is no event."""
+
+    reporter: Annotated[AnyText, Field(description="Whose ids its id is one of.")]
+    id: Annotated[AnyText, Field(description="Chosen by the reporter.")]
+    reported: Annotated[AnyText, Field(description="What was reported, as JSON.")]
+
+
 TABLES = ";".join((
     "CREATE TABLE IF NOT EXISTS header (document TEXT NOT NULL)",
     created("events", EventRow, {"n": "PRIMARY KEY"},
             "CHECK ((id IS NULL) = (answer IS NULL) AND (id IS NULL) = (reported IS NULL))"),
     "CREATE UNIQUE INDEX IF NOT EXISTS answered ON events (reporter, id) WHERE id IS NOT NULL",
+    created("unchanged", Unchanged, {}, "PRIMARY KEY (reporter, id)"),
     created("erased", Buried, {"label": "PRIMARY KEY"}),
 ))  # fmt: skip
 
@@ -173,18 +183,24 @@ class EventStore(Generic[R]):
         except (TypeError, ValueError) as error:
             raise self.damaged(n, error) from error
 
-    def answer(self, event: Event) -> tuple[str, dict[str, Any]] | None:
-        """Return what the reporter of an event has reported under its id, with the answer; None if nothing."""
+    def answer(self, event: Event) -> tuple[str, dict[str, Any] | None] | None:
+        """Return what the reporter of an event has reported under its id, with the answer; None if nothing.
+
+        What has changed nothing is stored without an answer.
+        """
         if event.id is None:
             return None
+        whose = "WHERE reporter = :reporter AND id = :id"
         with self._sqlite_errors():
             row = self._db.execute(
-                "SELECT n, reported, answer FROM events WHERE reporter = ? AND id = ?", (event.reporter, event.id)
+                f"SELECT n, reported, answer FROM events {whose} "
+                f"UNION ALL SELECT 0, reported, NULL FROM unchanged {whose}",
+                {"reporter": event.reporter, "id": event.id},
             ).fetchone()
         if row is None:
             return None
         n, reported, answer = row
-        return reported, _document(answer, self.file, n)
+        return reported, None if answer is None else _document(answer, self.file, n)
 
     def next_label(self) -> str:
         """Return a label for the next person whose records are erased."""
@@ -240,6 +256,12 @@ class EventStore(Generic[R]):
         with self._sqlite_errors():
             insert(self._db, "events", row)
 
+    def remember(self, event: Event) -> None:
+        """Add a report that has changed nothing within a transaction, if it has an id."""
+        if event.id is not None:
+            with self._sqlite_errors():
+                insert(self._db, "unchanged", Unchanged(event.reporter, event.id, event.reported))
+
     def check(self, room: int = 1 << 16) -> None:
         """Check, after something could not be written, whether there is room again for at least `room` bytes.
 
@@ -274,6 +296,7 @@ class EventStore(Generic[R]):
             count = self._db.execute("SELECT count(*) FROM events WHERE person = ?", (person,)).fetchone()[0]
             stone = Buried(label, utc(), reason, count)
             self._db.execute("DELETE FROM erased WHERE label = ?", (person,))  # who withdrew and is erased later
+            self._db.execute("DELETE FROM unchanged WHERE reporter = ?", (person,))
             insert(self._db, "erased", stone)
         return Tombstone(stone.label, stone.at, stone.reason, stone.events)
 

@@ -9,6 +9,7 @@ import threading
 import tracemalloc
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -19,8 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, happen
 
-from assist.declare import InapplicableError
-from assist.declare.refusals import Refusal
+from assist.declare import InapplicableError, Refusal
 from assist.live import Acted, Assistant, Began, Event, Joined, JournalError, Paused, Session
 from assist.live.desk import Desk
 from assist.live.event_base import OfPerson, TeamEvent
@@ -29,6 +29,7 @@ from assist.live.lines import Line
 from assist.live.live_setting import LiveSetting
 from assist.live.store import stored
 from assist.live.team import Team
+from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
 from assist.web.client import request_of
 from planner import InputFileError, Table
@@ -132,9 +133,39 @@ def test_the_same_id_is_answered_as_the_first_and_happens_once(opened: Callable[
         with pytest.raises(InapplicableError, match="the id '1' belongs to another event; expected a new id"):
             other()
     session.join("bob", id="1")
+    with pytest.raises(Refusal, match="task '': expected one of tiny, fixed"):
+        session.join("eve", "")
     session.pause()
     assert session.report(Paused(paused=False, id="1"))["suggestion"] == session.outlook().robots[0].suggestion
     assert not session.outlook().paused
+
+
+def test_what_changed_nothing_under_an_id_changes_nothing_when_it_is_repeated(opened: Callable[..., Session]) -> None:
+    """The answer to a second pause is lost, and suggestions are resumed before the request is sent again."""
+    session = opened()
+    session.join("ann")
+    session.pause()
+    again = Paused(paused=True, id="1")
+    session.report(again)
+    session.pause(False)
+    for _ in range(2):
+        before = session.outlook()
+        assert session.report_all([again, again]) == [before.robots[0].as_dict()] * 2
+        assert session.outlook() == before
+        with pytest.raises(InapplicableError, match="the id '1' belongs to another event"):
+            session.report(Paused(paused=False, id="1"))
+        session = opened()
+    assert not session.outlook().paused
+
+
+def test_a_report_is_the_same_in_any_order_of_its_likelihoods(opened: Callable[..., Session]) -> None:
+    session = opened(setting=replace(SETTING, observation=ObservationModel(miss=0.1)))
+    session.join("ann")
+    known = {"(fetch box-a)": 0.9, "(fetch box-b)": 0.1}
+    first = session.observe("ann", likelihoods=known, id="1")
+    assert session.observe("ann", likelihoods=dict(reversed(known.items())), id="1") == first
+    with pytest.raises(InapplicableError, match="the id '1' belongs to another event"):
+        session.observe("ann", likelihoods={**known, "(fetch box-b)": 0.2}, id="1")
 
 
 def test_a_view_counts_the_events_of_a_kind_with_a_line_until_they_are_taken_back(

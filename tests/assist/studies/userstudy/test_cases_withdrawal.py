@@ -82,8 +82,8 @@ def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool
     assert all(trace.encode() in content(folder) for trace in traces)
     status = session.cohort.participants[own]
     at, condition = status.at, status.condition
-    for _ in range(2):
-        assert eve.report("withdrew", id="asked once")["study"]["kind"] == "withdrew"
+    for id in ("asked once", "asked once", "asked again"):
+        assert eve.report("withdrew", id=id)["study"]["kind"] == "withdrew"
     assert f"words of {own}".encode() not in content(folder)
     for n, (utc, record) in enumerate(stored(folder / JOURNAL)[1]):
         if n in kept:
