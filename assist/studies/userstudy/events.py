@@ -9,7 +9,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, WithJsonSchema
+from pydantic import Field, StringConstraints, WithJsonSchema
 
 from ...declare.declared import Expected
 from ...declare.refusals import InapplicableError, Refusal
@@ -20,7 +20,11 @@ from .plan import WAITING
 from .roll import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant, Roll
 from .teams import Facts, Teams
 
-Reason = Annotated[str, Field(min_length=1, max_length=LONGEST_REASON), Expected(f"1 to {LONGEST_REASON} characters")]
+Reason = Annotated[
+    str,
+    StringConstraints(strip_whitespace=True, min_length=1, max_length=LONGEST_REASON),
+    Expected(f"1 to {LONGEST_REASON} characters"),
+]
 
 GivenAnswer = Annotated[
     Any,
@@ -329,10 +333,11 @@ class Excluded(StudyEvent):
     """The researchers exclude a participant from the analysis; the report states the reason."""
 
     kind: Literal["excluded"] = "excluded"
-    reason: Reason | None = None
+    reason: Reason | None
     """The reason; null includes the participant again."""
 
     path: ClassVar[str | None] = "/api/study/participants/{person}/exclude"
+    never_left_out: ClassVar[tuple[str, ...]] = ("reason",)
 
     def facts(self, cohort: Teams, n: int, time: float) -> Facts:  # noqa: ARG002
         """Check that there are data to exclude."""

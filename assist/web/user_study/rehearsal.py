@@ -19,6 +19,7 @@ import numpy as np
 from planner import CostToGo
 from planner.system.progress import Progress, adding
 
+from ...declare.refusals import InapplicableError
 from ...live.simulated_person import SimulatedPerson
 from ...studies.userstudy.forms import Answer, Item, Rehearsed
 from ...studies.userstudy.session import StudySession
@@ -84,7 +85,13 @@ class SimulatedParticipant:
             return answer
         if at["kind"] in ("practice", "task"):
             if not at["over"]:
-                return self._act(seen)
+                try:
+                    return self._act(seen)
+                except InapplicableError:
+                    now = self._client.see()
+                    if not now["study"]["over"]:
+                        raise
+                    return now  # the time was up meanwhile
             if at["kind"] == "task":
                 self._lost = max(0.0, seen["steps"] - self._shortest(seen["task"]))
         answers = None

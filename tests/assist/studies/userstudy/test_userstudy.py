@@ -357,9 +357,12 @@ def test_data_can_be_withdrawn_until_the_studys_date_and_the_report_counts_every
         if name not in ("eve", "fay"):
             part.to("thanks")
     parts["eve"].to("task tiny")
-    with pytest.raises(ValueError, match="reason '': expected 1 to 200 characters"):
-        parts["cid"].report("excluded", reason="")
+    for reason in ("", " "):
+        with pytest.raises(ValueError, match=f"reason '{reason}': expected 1 to 200 characters"):
+            parts["cid"].report("excluded", reason=reason)
     parts["cid"].report("excluded", reason="did another study")
+    with pytest.raises(ValueError, match="reason: is missing"):
+        parts["cid"].report("excluded")  # as a request with an empty body, which would have included them again
     parts["dora"].report("excluded", reason="by mistake")
     parts["dora"].report("excluded", reason=None)
     parts["fay"].report("withdrew")

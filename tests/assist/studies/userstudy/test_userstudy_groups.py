@@ -119,6 +119,9 @@ class Offline:
         name, kind = path.split("/")[-2:]
         return Part(self.session, name).report(kind, **body)
 
+    def see(self) -> dict[str, Any]:
+        return self.session.person("P0")
+
     def observe(self, person: str, action: str, seq: int) -> dict[str, Any]:
         return Part(self.session, person).report("acted", action=action, seq=seq)
 
@@ -147,6 +150,21 @@ def test_theta_of_who_rehearses_moves_by_what_the_condition_shows_of_others(open
             assert person.theta == theta
             moved |= {group.condition} if theta != person.human.theta else set()
     assert moved == {"attention"}
+
+
+def test_who_rehearses_goes_on_when_the_time_is_up_while_they_choose(opened: Open, tiny: Table) -> None:
+    session = opened(WITHOUT_PRACTICE)
+    service: Any = SimpleNamespace(study=session.study, session=session, join_url=str)
+    client: Any = partial(Offline, session)
+    one = SimulatedParticipant(service, {"tiny": tiny, "practice": tiny}, 0, None, "", client)
+    part = Part(session, "P0")
+    part.to("task tiny")
+    seen = session.person("P0")
+    part.report("expired")
+    assert one._step(seen) == session.person("P0")
+    part.onward()
+    with pytest.raises(InapplicableError):  # what nothing but a fault explains
+        one._step(seen)
 
 
 def test_time_causes_departures_limits_and_decisions(opened: Open) -> None:
