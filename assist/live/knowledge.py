@@ -171,9 +171,8 @@ class Knowledge:
         else:
             place = len(team.records)
             if place == len(team) and self._places.distance is not None:
-                raise ValueError(
-                    f"{person}: there is a place for {place} people; expected a larger matrix of distances"
-                )
+                why = f"{person}: there is a place for {place} people; expected a larger matrix of distances"
+                raise InapplicableError("other", why=why)
             name = next(iter(self.tasks)) if task is None else task
             problem = self._problem(name, population)
             self.seen.make_room(place + 1)

@@ -197,7 +197,7 @@ class JointBelief:
         found: dict[int, float] = {}
         states = policy.problem.states(self.situations).tolist()
         for state, probability in zip(states, self.probability.tolist(), strict=True):
-            found[state] = found.get(state, 0.0) + probability
+            found[state] = min(found.get(state, 0.0) + probability, 1.0)  # a sum of rounded numbers may be above 1
         return found
 
     def finished(self, policy: Policy) -> float:

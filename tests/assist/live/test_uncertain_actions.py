@@ -160,6 +160,26 @@ def test_answers_are_as_probable_as_the_actions_were() -> None:
     assert team.worth_of_asking("ann") >= 0
 
 
+def test_the_state_that_is_shown_is_at_most_certain() -> None:
+    team = Assistant(kit("tiny"), ["ann"], setting=Setting(suggestions="all"))
+    team.observe("ann", likelihoods={"(fetch box-b)": 0.7})
+    for action in ("(place wrench slot-1 box-b)", "(remove wrench slot-1 box-b)", "(place wrench slot-2 box-b)"):
+        team.observe("ann", action)
+    assert max(team.person("ann").states.values()) == 1  # the sum of its rounded parts is 1.0000000000000004
+
+
+@pytest.mark.parametrize(
+    ("setting", "is_prepared"), [(NOISY, True), (Setting(suggestions="all"), True), (Setting(), False)]
+)
+def test_what_uncertain_reports_need_is_compiled_before_the_first(
+    monkeypatch: pytest.MonkeyPatch, setting: Setting, is_prepared: bool
+) -> None:
+    prepared: list[object] = []
+    monkeypatch.setattr("assist.live.decisions.prepare_uncertain", prepared.append)
+    desk(setting)
+    assert len(prepared) == is_prepared
+
+
 def test_a_session_of_noisy_observations_resumes_with_its_beliefs(tmp_path: Path) -> None:
     def opened() -> Session:
         return Session(kit("tiny"), tmp_path / "journal.sqlite", setting=NOISY)
