@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 class Reports:
     """Somebody to whom events are reported; each verb makes one, and `report` takes any.
 
-    Of a person who repeats a report under the same `id`, only the first counts. What a report returns is for the
-    classes to say: `Session` and `Client` return the view of the person, or that of the robot.
+    Of a person who repeats a report under the same `id`, only the first counts; but an `Assistant` keeps no ids. What a
+    report returns is for the classes to say: `Session` and `Client` return the view of the person, or of the robot.
     """
 
     @abstractmethod

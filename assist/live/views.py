@@ -61,7 +61,11 @@ class PersonView(View):
     ] = False
     explained: Annotated[Truth, Field(description="Whether the explanation can be asked for.")] = False
     seq: Annotated[
-        Whole, Field(description="Number of the last event that changed the view; the larger of two is newer.")
+        Whole,
+        Field(
+            description="Number of the last event that changed the view; the larger of two is newer. It may fall "
+            "when the records of a neighbour are erased."
+        ),
     ] = 0
     state_probability: Annotated[
         AnyNumber | None, Seldom(),

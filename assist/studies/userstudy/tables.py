@@ -81,7 +81,10 @@ COLUMNS: dict[str, dict[str, Column]] = {
         "item": Column("name of the question"),
         "option": Column("for questions with several choices, the option; empty otherwise", later=True),
         "position": Column("1 for the first question on the page", float, later=True),
-        "answer": Column("the answer as given; for an option, whether it was chosen; empty without an answer"),
+        "answer": Column(
+            "the answer as given, behind an apostrophe if a spreadsheet may take it for a formula; for an option, "
+            "whether it was chosen; empty without an answer"
+        ),
         "score": Column("the score, with reversed items recoded; empty if the answer is not a number", float),
         "passed": Column(
             "whether an attention check was answered correctly; empty for other questions", bool, later=True

@@ -480,6 +480,8 @@ def test_the_report_says_at_its_top_that_a_policy_suggested_nothing(
 def test_the_report_has_what_a_methods_section_needs(tmp_path: Path) -> None:
     report = report_of(tmp_path, rows_of([(name, name, 1, 8, 5) for name in ("none", "attention") * 2]))
     assert "Each participant shared the robot with 2 simulated people, who acted once after each action" in report
+    one = report_of(tmp_path, rows_of([("none", "none", 1, 8, 5)]), CONFIRMED.replace("simulated = 2", "simulated = 1"))
+    assert "Each participant shared the robot with 1 simulated person, who acted" in one
     plan = report.partition("## Plan")[2]
     for said in (
         "Participants arrived from 2026-11-27 12:00; ", f"with kitassist {version('kitassist')}.",
