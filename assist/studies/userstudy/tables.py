@@ -196,7 +196,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             if entered in record.members:  # others of the group have come
                 found.events.append(_event(entered, record, utc, "onward", to))
         failed = next((one.fault for one in record.team if one.fault is not None), None)
-        if failed is not None and here[code]["fault"] is None:
+        if failed is not None and code in here and here[code]["fault"] is None:  # erased events are nobody's
             here[code]["fault"] = failed
     withdrawn = {code for code, person in roll.participants.items() if person.status == WITHDREW}
     wrong = Counter(row["participant"] for row in found.answers if row["passed"] is False)

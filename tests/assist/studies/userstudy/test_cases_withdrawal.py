@@ -190,6 +190,26 @@ def test_who_came_last_to_a_group_and_withdraws_changes_nothing_of_the_others(op
     assert of_others(opened(text), "eve", "(erased 1)")[1:] == before[1:]
 
 
+def test_the_tables_of_a_group_whose_policy_failed_are_there_after_a_member_withdraws(
+    opened: Open, tmp_path: Path
+) -> None:
+    (tmp_path / "own.py").write_text("def fails(team):\n    raise RuntimeError('it failed')\n")
+    text = GROUPED.replace("size = 3", "size = 2").replace('policy = "attention"', 'policy = "own.py:fails"')
+    session = opened(text.replace('policy = "none"', 'policy = "own.py:fails"'))
+    for part in (parts := [Part(session, name) for name in ("ann", "eve")]):
+        part.come()
+        part.to("practice")
+        part.finish()
+        part.onward()
+    for part in parts:
+        part.errs()
+    before = of_others(session, "eve")
+    parts[1].report("withdrew")
+    assert of_others(session, "eve")[1:] == before[1:]
+    (row,) = tables(session.study, session.folder / JOURNAL).tasks
+    assert (row["participant"], "it failed" in row["fault"]) == ("ann", True)
+
+
 def test_what_was_withdrawn_before_is_removed_when_the_study_goes_on(
     opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
