@@ -49,7 +49,7 @@ FAULTS = [
     ('name = "wary"', 'name = "rely"', r"questionnaires\[2\].items\[2\].name: 'rely'; expected a unique name"),
     ("seed = 3", "seed = -3", "seed: -3; expected a whole number of 0 or more"),
     ("away = 10", "away = 0", "away: 0; expected a number of minutes above 0"),
-    ("seed = 3", "seed = ", "Invalid value"),
+    ("seed = 3", "seed = ", r"not TOML \(column 8: Invalid value\)"),
     ('name = "attention"', 'name = "none"', r"conditions\[2\].name: there are two conditions 'none'"),
     ('practice = "', 'practice = "x', "practice: .*no such file"),
     ("seed = 3", 'withdraw_until = "soon"', 'withdraw_until: "soon"; expected a date such as 2027-03-31'),
