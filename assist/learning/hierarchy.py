@@ -183,7 +183,7 @@ def pooled(
     def loss(rate: float) -> float:
         nonlocal best
         at, value, _ = maximise(replace(together, eta=rate), best.at, fixed)
-        best = max(best, Maximum(float(value[0]), rate, at), key=lambda one: one.value)
+        best = max(best, Maximum(float(value[0]), float(rate), at), key=lambda one: one.value)
         return -float(value[0])
 
     while True:  # the rates that are likely with the other coordinates as they are
