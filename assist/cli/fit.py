@@ -117,11 +117,10 @@ def _require_one_model(
     """Refuse options that have no effect together."""
     if files.family and files.as_json and not files.population:
         raise click.UsageError("--family: expected --write-population, since with --json it has no effect otherwise")
-    kinds = {
-        "--goals": what.problems, "--misconception": what.misconceptions, "--terms": what.terms,
-        "chooses": setting.chooses, "--influence": what.trust,
-    }  # fmt: skip
-    apart(kinds)
+    models = {"--misconception": what.misconceptions, "--terms": what.terms, "chooses": setting.chooses}
+    kinds = {"--goals": what.problems, **models, "--influence": what.trust}
+    for one in ("--goals", "--influence"):  # which go together
+        apart({name: value for name, value in kinds.items() if name == one or name in models})
     for name in ("--goals", "chooses", "--influence"):
         if kinds[name]:
             given.refuse(["seed"], f"with {name}")

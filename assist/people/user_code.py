@@ -18,6 +18,7 @@ from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Any, Self
 
+from planner import LimitError
 from planner.system.errors import expected
 from planner.system.files import no_such
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from .choices import Choices
     from .decision import Bools, Floats, Ints
 
+PACKAGE = Path(__file__).parents[1]
 _LOADING = RLock()
 """Held while a folder is searched for what a file imports."""
 
@@ -116,6 +118,30 @@ def object_of(given: type, name: str) -> Any:
         return given()
     except TypeError as error:
         raise UserCodeError(f"{name}: {error}; expected a class without arguments, or its object") from None
+
+
+@contextmanager
+def own_code(function: Any) -> Iterator[None]:
+    """Tell errors of a user's function or object with their line, as a `UserCodeError`; those of the package stay."""
+    try:
+        yield
+    except (UserCodeError, LimitError):
+        raise
+    except Exception as error:
+        file = _file_of(function)
+        if file is None:
+            raise
+        raise UserCodeError(described(error, file)) from error
+
+
+def _file_of(function: Any) -> Path | None:
+    """Return the file with the code of a user's function, or of the class of an object; None if it is of a package."""
+    while hasattr(function, "func"):
+        function = function.func
+    code = getattr(function, "__code__", None) or getattr(type(function).__call__, "__code__", None)
+    if code is None or Path(code.co_filename).is_relative_to(PACKAGE):
+        return None
+    return Path(code.co_filename)
 
 
 def described(error: Exception | SystemExit, file: Path) -> str:

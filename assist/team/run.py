@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
-from ..people.user_code import UserCodeError
+from ..people.user_code import UserCodeError, own_code
 from .action_check import check
 from .beginning import Beginning, Beginnings
 from .common_random_numbers import CommonRandomNumbers
@@ -160,7 +160,8 @@ class Simulation:
     def _decided(self, engine: Engine, teams: Ints, tracer: Tracer | None) -> TeamAction:
         """Return what the policy does with the robots of some teams."""
         team = engine.state(teams)
-        action = self.policy(team)
+        with own_code(self.policy):
+            action = self.policy(team)
         try:
             check(team, action)
         except UserCodeError as error:

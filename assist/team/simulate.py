@@ -83,8 +83,9 @@ def simulate(
     ValueError
         A parameter is out of its range.
     UserCodeError
-        The policy chooses an impossible action, such as going to a person who has finished. Or it is a function in a
-        file (`UserPolicy`) that remembers former calls.
+        The policy is the user's own and fails; the message has the line of its file, and the cause is the error.
+        Or it chooses an impossible action, such as going to a person who has finished. Or it is a function in a file
+        (`UserPolicy`) that remembers former calls.
     LimitError
         The episodes would exceed the memory limit.
     """

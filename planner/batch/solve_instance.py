@@ -30,7 +30,16 @@ from ..pddl.validation import SecondReader
 from ..system.compiling import compiling
 from ..system.errors import MismatchError
 from ..system.files import atomic
-from ..system.limits import LimitError, Limits, memory_limit, peak_memory_mb, processors, reset_peak_memory, used_mb
+from ..system.limits import (
+    LimitError,
+    Limits,
+    MemoryLimitError,
+    memory_limit,
+    peak_memory_mb,
+    processors,
+    reset_peak_memory,
+    used_mb,
+)
 from ..system.progress import Progress
 from ..system.threads import NO_MORE_THREADS
 from .results_folder import (
@@ -179,19 +188,30 @@ def _record_of(error: Exception, instance: Instance, options: SolveOptions) -> S
     if isinstance(error, PDDLError):
         return empty_record(instance, "invalid", error_entry(error.file, error.line, error.message))
     if isinstance(error, LimitError):
-        return unsolved(instance, "limit", str(error))
+        return unsolved(instance, "limit", f"{error}{_too_low(options) if isinstance(error, MemoryLimitError) else ''}")
     if isinstance(error, FastDownwardError | MismatchError):
         return unsolved(instance, "invalid", str(error))
     number = error.errno if isinstance(error, OSError) else None
     no_thread = isinstance(error, RuntimeError) and str(error) == NO_MORE_THREADS
-    if isinstance(error, MemoryError) or no_thread or number == errno.ENOMEM:  # the last at the start of a subprocess
+    unloaded = isinstance(error, ImportError) and "failed to map" in str(error)  # the system's loader
+    if (
+        isinstance(error, MemoryError) or no_thread or unloaded or number == errno.ENOMEM
+    ):  # this at a subprocess's start
         limit = f" ({options.memory_limit:g} MB)" if options.memory_limit else ""
-        return unsolved(instance, "limit", f"out of memory{limit}")
+        return unsolved(instance, "limit", f"out of memory{limit}{_too_low(options)}")
     if isinstance(error, OSError):
         status = "limit" if number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else "invalid"  # a full disk
         file = instance.problem if error.filename is None else Path(os.fsdecode(error.filename))
         return empty_record(instance, status, error_entry(file, None, error.strerror or str(error)))
     return None
+
+
+def _too_low(options: SolveOptions) -> str:
+    """Return what is said of a limit that is below what Python itself takes; nothing of any other."""
+    used, limit = used_mb(), options.memory_limit
+    if limit is None or used is None or limit >= used:
+        return ""
+    return f"; a limit of {limit:g} MB is below what Python itself takes here, {used:.0f} MB; expected more"
 
 
 def _grounded(reading: Reading, options: SolveOptions, phases: _Phases) -> Task:

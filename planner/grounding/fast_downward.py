@@ -202,7 +202,8 @@ def _check_limits(what: str, code: int, output: str, limits: Limits) -> None:
         raise LimitError(f"{what} ran out of time")
     no_memory = ("failed to map", "cannot map", "annot allocate")  # parts of the loader's messages
     unloaded = code == exit_not_loaded and any(words in output for words in no_memory)
-    if code in EXIT_OUT_OF_MEMORY or (limits.memory_mb is not None and (code < 0 or unloaded)):
+    in_python = re.search(r"^MemoryError\b", output, re.M) is not None
+    if code in EXIT_OUT_OF_MEMORY or (limits.memory_mb is not None and (code < 0 or unloaded or in_python)):
         raise MemoryLimitError(f"{what} ran out of memory")
 
 

@@ -97,6 +97,8 @@ def test_commands_take_a_rule_in_a_file(own: Path, log: Path, tmp_path: Path) ->
     assert (fitted.exit_code, f"trust rule {rule};" in fitted.stdout) == (0, True), fitted.output
     document = json.loads(invoke("compare", "rules", TINY, log, "--folds", 2, "--rule", rule, "--json").stdout)
     assert [row["model"] for row in document["models"]] == ["constant", rule]
+    shown = invoke("compare", "rules", TINY, log, "--folds", 2, "--rule", rule).stdout
+    assert shown.endswith("; best: constant, since no other predicts better than it at 95% (p, corrected)\n")
     refused = invoke("fit", TINY, log, "--influence", rule, "--write-population", tmp_path / "p.json")
     assert (refused.exit_code, "has no rules of your own" in refused.stderr) == (2, True)
     refused = invoke("fit", TINY, log, "--influence", "papr")

@@ -90,4 +90,9 @@ def show_comparison(compared: Comparison, files: ComparisonFiles, figures: Path 
         numbers = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in row.parameters.items())
         rows.append([row.model, nats, paired, corrected, better, numbers])
     print_table(head, rows, left=(0, 5), width=200)
-    click.echo(f"{people:,} people, {compared.choices.sum():,} choices; best: {compared.best.model}")
+    best = f"best: {compared.best.model}"
+    if len(rows) > 1 and compared.best.model == reference:
+        best += f", since no other predicts better than it at {compared.level:.0%} (p, corrected)"
+    elif len(rows) > 1:
+        best += f", of those that predict better than {reference} at {compared.level:.0%} (p, corrected)"
+    click.echo(f"{people:,} people, {compared.choices.sum():,} choices; {best}")

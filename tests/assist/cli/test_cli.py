@@ -135,6 +135,16 @@ def test_a_memory_limit_holds() -> None:
     assert (small["status"], small["method"], small["note"]) == ("solved", "sweep", None)
 
 
+@pytest.mark.cases
+@pytest.mark.parametrize("limit", [1, 30])
+def test_a_limit_below_what_python_takes_is_told_as_such(limit: int) -> None:
+    result = kitassist("solve", KITTING / "tiny.pddl", "--memory-limit", limit)
+    assert re.search(
+        rf"out of memory.*; a limit of {limit} MB is below what Python itself takes here, \d+ MB; expected more\n$",
+        result.stderr + result.stdout,
+    )
+
+
 @pytest.mark.parametrize(
     "error",
     thinned(

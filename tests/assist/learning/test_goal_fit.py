@@ -13,10 +13,20 @@ from conftest import ROOT, invoke
 from simulated_people import People, record
 from test_unknown_goals import PRIOR, three_goals
 
-from assist.learning import FittedPeople, Log, Method, fit, fit_influence, infer_goals, log_likelihood, mixture
+from assist.learning import (
+    FittedPeople,
+    Log,
+    Method,
+    fit,
+    fit_influence,
+    infer_goals,
+    log_likelihood,
+    mixture,
+    replayed,
+)
 from assist.people import Goals, choice, influence, lapse
 from assist.people.decision import NOTHING
-from planner import Table
+from planner import Table, load, sweep_goals
 
 BETA = np.array([0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
 METHOD = Method(eta=0.2)
@@ -165,5 +175,14 @@ def test_the_command(tmp_path: Path) -> None:
     ):
         result = invoke(*asked, *more)
         assert (result.exit_code, message in result.stderr) == (2, True)
+    advised = tmp_path / "advised.jsonl"
+    costs = ("--set", "c_suggest=0.02", "--set", "c_move=0.02")
+    invoke("simulate", *given, *costs, "--policy", "attention", "--trace", advised)
+    found = invoke("fit", asked[1], advised, *asked[3:], "--influence", "constant", "--json")
+    prior = {"travel": 0.4, "mend": 0.4, "mount": 0.2}
+    tables = dict(zip(prior, sweep_goals([load(kits / f"{name}.pddl") for name in prior]), strict=True))
+    same = fit_influence(replayed(tables, advised, prior=prior), "constant", carry=False)
+    assert found.exit_code == 0, found.stderr
+    assert json.loads(found.stdout)["log_likelihood"] == pytest.approx(same.log_likelihood, abs=1e-6)
     result = invoke(*asked[:3], "--set", "goal_prior=travel=1")
     assert (result.exit_code, "--set goal_prior has no effect without --goals" in result.stderr) == (2, True)

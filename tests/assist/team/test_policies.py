@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from teams import equal, reachable, run, state
 
+from assist import compare
 from assist.people.choices import Choices
 from assist.people.user_code import UserCodeError
 from assist.person.fleet import Fleet
@@ -430,3 +431,23 @@ def test_prices_are_in_units_of_the_cheapest_action_that_is_not_free() -> None:
     assert min(returns, key=lambda name: returns[name]) == "none"
     free = Pool.sample(sweep(graph_task([(0, 1, 0), (1, 2, 0)], goal=2)), 2, seed=1)
     assert simulate(free, "whittle", humans=2, episodes=5, seed=1).discounted_return.tolist() == [0.0] * 5
+
+
+@pytest.mark.cases
+def test_a_policy_of_the_users_own_that_fails_is_told_with_its_line() -> None:
+    """As with the commands; the original error is the cause. A policy of the package fails as it is."""
+
+    def failing(team: TeamState) -> TeamAction:
+        return team.nowhere  # type: ignore[attr-defined, no-any-return]
+
+    class Failing:
+        def __call__(self, team: TeamState) -> TeamAction:
+            return failing(team)
+
+    pool = Pool.sample(sweep(load("kitting/tiny")), 2, seed=0)
+    for policy in (failing, Failing()):
+        with pytest.raises(UserCodeError, match=r"test_policies\.py:\d+: AttributeError: .*nowhere") as error:
+            simulate(pool, policy, humans=2, episodes=1, seed=0)
+        assert isinstance(error.value.__cause__, AttributeError)
+        with pytest.raises(UserCodeError, match=r"test_policies\.py:\d+: AttributeError: .*nowhere"):
+            compare(pool, {"own": policy, "none": "none"}, humans=2, episodes=1, seed=0)

@@ -281,6 +281,7 @@ def test_a_single_episode_makes_a_report(tmp_path: Path) -> None:
     report = report_of(tmp_path, least, 1)
     assert report.summary["cells"][0]["human_actions_per_person"]["sd"] is None
     assert "## Team sizes" in report.text
+    assert "| None |" not in report.text  # fields of the plan that are not set
     for name in ("team-size", "belief"):
         assert words_in(report, name)
 
