@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import InputFileError, require_package
-from planner.system.files import ResumableFolder, each_record, read_records, write_text
+from planner.system.files import ResumableFolder, each_record, held, read_records, write_text
 from planner.system.limits import Deadline, LimitError
 from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.workers import outcomes
@@ -83,22 +83,23 @@ def run_study(
     study = study_of(study)
     out = Path(out)
     order = {cell: number for number, cell in enumerate(study.cells())}
-    results: ResumableFolder[Cell] = ResumableFolder(out / EPISODES, out / PROFILE, resume=resume)
-    _begin(study, out, results, order, warn or (lambda _: None))
-    total = sum(map(study.episodes, order))
-    advance = adding(progress, "episodes", total, done=sum(map(study.episodes, results.lines)))
     failed: list[tuple[Cell, Exception]] = []
-    todo = [cell for cell in order if cell not in results.lines]
-    with closing(outcomes(carry_out, todo, (study,), jobs=jobs, scheduler=scheduler)) as coming:
-        for cell, outcome in coming:
-            if isinstance(outcome, Outcome):
-                results.add(cell, outcome.lines, {**asdict(cell), "seconds": outcome.seconds})
-            else:
-                failed.append((cell, outcome))
-            advance(study.episodes(cell))
-            if ends.passed:
-                break
-    results.finish(order)
+    with held(out):
+        results: ResumableFolder[Cell] = ResumableFolder(out / EPISODES, out / PROFILE, resume=resume)
+        _begin(study, out, results, order, warn or (lambda _: None))
+        total = sum(map(study.episodes, order))
+        advance = adding(progress, "episodes", total, done=sum(map(study.episodes, results.lines)))
+        todo = [cell for cell in order if cell not in results.lines]
+        with closing(outcomes(carry_out, todo, (study,), jobs=jobs, scheduler=scheduler)) as coming:
+            for cell, outcome in coming:
+                if isinstance(outcome, Outcome):
+                    results.add(cell, outcome.lines, {**asdict(cell), "seconds": outcome.seconds})
+                else:
+                    failed.append((cell, outcome))
+                advance(study.episodes(cell))
+                if ends.passed:
+                    break
+        results.finish(order)
     ended = {*results.lines, *(cell for cell, _ in failed)}
     late = LimitError("out of time; `resume` continues with this cell")
     failed += [(cell, late) for cell in order if cell not in ended]

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..pddl.instances import Instance
+from ..system.files import held
 from ..system.limits import available_memory, processors
 from ..system.progress import Progress
 from ..system.workers import outcomes
@@ -56,44 +57,51 @@ def solve_batch(
     """
     grace = 10.0  # seconds that a worker may take to stop after its time limit, before it is killed
     options = options or SolveOptions()
-    results = None if out is None else Results(out, instances, options, resume=resume)
-    records = {} if results is None else dict(results.records)
-    todo = [instance for instance in instances if key(instance) not in records]
-    if progress is not None:
-        for instance in instances:
-            if key(instance) in records:
-                progress(records[key(instance)])
-    jobs = min(jobs, len(todo))
-    timeout = None if options.time_limit is None else options.time_limit + grace
-    shared = options if scheduler is not None else _shared(options, jobs)
-    with tempfile.TemporaryDirectory(prefix="kitassist-") as folder, ExitStack() as at_the_end:
-        ongoing = _Ongoing(Path(folder), records, results, tell)
-        work: list[Work] = [
-            (one, None if results is None else results.place(one), None if scheduler is not None else ongoing.file(one))
-            for one in todo
-        ]
+    with ExitStack() as holding:
+        if out is not None:
+            holding.enter_context(held(out))
+        results = None if out is None else Results(out, instances, options, resume=resume)
+        records = {} if results is None else dict(results.records)
+        todo = [instance for instance in instances if key(instance) not in records]
+        if progress is not None:
+            for instance in instances:
+                if key(instance) in records:
+                    progress(records[key(instance)])
+        jobs = min(jobs, len(todo))
+        timeout = None if options.time_limit is None else options.time_limit + grace
+        shared = options if scheduler is not None else _shared(options, jobs)
+        with tempfile.TemporaryDirectory(prefix="kitassist-") as folder, ExitStack() as at_the_end:
+            ongoing = _Ongoing(Path(folder), records, results, tell)
+            work: list[Work] = [
+                (
+                    one,
+                    None if results is None else results.place(one),
+                    None if scheduler is not None else ongoing.file(one),
+                )
+                for one in todo
+            ]
 
-        def hear(item: Work, what: str, *stage: Any) -> None:
-            if what == NEW_RECORD:
-                with suppress(OSError):  # a lasting fault is reported with the final record
-                    ongoing.hear(item[0])
-            elif stages is not None:
-                stages(item[0], what, *stage)
+            def hear(item: Work, what: str, *stage: Any) -> None:
+                if what == NEW_RECORD:
+                    with suppress(OSError):  # a lasting fault is reported with the final record
+                        ongoing.hear(item[0])
+                elif stages is not None:
+                    stages(item[0], what, *stage)
 
-        if results is not None and scheduler is None:
-            at_the_end.callback(results.remove_unfinished)  # of workers that were stopped
-        ways: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "timeout": timeout, "hear": hear}
-        coming = at_the_end.enter_context(closing(outcomes(_solve, work, (shared,), **ways)))
-        try:
-            _collect(coming, ongoing, options, progress)
-        except BaseException:
-            for instance in todo:
-                with suppress(OSError):
-                    ongoing.hear(instance)
-            raise
-    if results is not None:
-        results.finish(instances)
-    return [records[key(instance)] for instance in instances]
+            if results is not None and scheduler is None:
+                at_the_end.callback(results.remove_unfinished)  # of workers that were stopped
+            ways: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "timeout": timeout, "hear": hear}
+            coming = at_the_end.enter_context(closing(outcomes(_solve, work, (shared,), **ways)))
+            try:
+                _collect(coming, ongoing, options, progress)
+            except BaseException:
+                for instance in todo:
+                    with suppress(OSError):
+                        ongoing.hear(instance)
+                raise
+        if results is not None:
+            results.finish(instances)
+        return [records[key(instance)] for instance in instances]
 
 
 def _shared(options: SolveOptions, jobs: int) -> SolveOptions:

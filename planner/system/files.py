@@ -8,20 +8,24 @@ from __future__ import annotations
 
 import difflib
 import errno
+import fcntl
 import json
 import math
 import os
 import shutil
 import stat
 import tempfile
+import time
 import uuid
 from collections.abc import Hashable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, TypeVar
 
 from .errors import InputFileError, in_words
 
+ORPHANED = 5.0
+"""Seconds for which a folder may still be held by the last processes of a run that was killed; they end after three."""
 UNFINISHED = ".unfinished-"
 """Prefix of the temporary files of `atomic`."""
 
@@ -260,6 +264,40 @@ def _record(file: Path, number: int, line: bytes) -> dict[str, Any]:
     if not isinstance(record, dict):
         raise InputFileError.of(file, number, "expected a record: a JSON object")
     return record
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Create a folder if it is not there, and hold it as the only run that writes results into it.
+
+    Where it cannot be created, opened or locked, nothing is held: what is written into it then says why.
+
+    Raises
+    ------
+    InputFileError
+        Another run holds it.
+    """
+    with ExitStack() as opened:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            number = os.open(folder, os.O_RDONLY)
+            opened.callback(os.close, number)
+            until = time.monotonic() + ORPHANED
+            while not _locked(number):
+                if time.monotonic() > until:
+                    raise InputFileError(f"{folder}: another run writes into it; expected another folder")
+                time.sleep(0.1)
+        except OSError:
+            pass
+        yield
+
+
+def _locked(number: int) -> bool:
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 Key = TypeVar("Key", bound=Hashable)

@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 from conftest import KITTING, invoke, write_instance
 
-from planner import Instance
+from planner import InputFileError, Instance
 from planner.batch import results_folder as results
 from planner.batch import solve_batch as batch
 from planner.batch.results_folder import Results, SolveOptions
 from planner.batch.solve_batch import solve_batch
 from planner.batch.solve_instance import solve_instance
+from planner.system import files
 
 OPTIONS = SolveOptions(verify=1)
 DOMAIN, TINY = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
@@ -168,3 +169,19 @@ def test_an_instance_whose_worker_ends_does_not_end_the_others(tmp_path: Path, m
         ("invalid", "internal error: RuntimeError('a fault')"),
     ]
     assert len((tmp_path / "out" / "results.jsonl").read_text().splitlines()) == len(ends)
+
+
+def test_a_second_run_into_the_same_folder_is_refused(
+    tmp_path: Path, instance: Instance, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each would end with a file of its own records only."""
+    out = tmp_path / "out"
+    monkeypatch.setattr(files, "ORPHANED", 0.2)
+    with (
+        files.held(out),
+        pytest.raises(InputFileError, match="another run writes into it; expected another folder"),
+    ):
+        solve_batch([instance], out=out, jobs=0)
+    assert list(out.iterdir()) == []
+    (record,) = solve_batch([instance], out=out, jobs=0)
+    assert record["status"] == "solved"
