@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from planner.batch.results_folder import SolveOptions
+from planner.system.progress import stages
 
 from ..declare.declared import Number
 from ..declare.options import Value
@@ -46,7 +47,7 @@ def study_prepare(
     differences the study can show is said on stderr, by simulation, and which policy hardly suggests anything.
     """
     from ..declare.declared import plain
-    from ..studies.reports.preregistration import register, require_new
+    from ..studies.reports.preregistration import register, withdraw
     from ..studies.userstudy.plan_file import read
 
     if check and links is not None:
@@ -57,10 +58,13 @@ def study_prepare(
     if check or links is None:
         if data is None and not check:
             raise click.UsageError("expected --data DIR, the folder of the study, or --check")
-        if data is not None and not check:
-            require_new(data)  # before simulations, which take long
-        forecast = _forecast(study)
-        record = None if check or data is None else register(study, data)
+        record = None if check or data is None else register(study, data)  # before simulations, which take long
+        try:
+            forecast = _forecast(study)
+        except BaseException:
+            if record is not None and data is not None:
+                withdraw(data)
+            raise
         for text in forecast.remarks():
             note(text)
         if difference is not None:
@@ -98,7 +102,9 @@ def _forecast(study: UserStudy) -> Forecast:
         name: costs_of(instance, max_states=SolveOptions.max_states, memory_limit_mb=None)
         for name, instance in study.tasks
     }
-    return Forecast.of(study, tasks)
+    with stages() as show:
+        show("simulating participants", 0, None)
+        return Forecast.of(study, tasks)
 
 
 def _ids(file: Path, longest: int = 100) -> list[str]:

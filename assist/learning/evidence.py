@@ -26,7 +26,7 @@ from ..declare.declared import sentences
 from ..people.decision import Floats
 from ..people.goals import prior_over
 from ..people.terms import Term, features
-from .log import Fault, Log, log_of, selected
+from .log import Fault, Log, as_one_goal, log_of, selected
 from .method import Method
 from .observations import EvaluatedStates, Ints, Observations, UnknownGoals, observe
 from .replay import Recording, replay, situation
@@ -175,6 +175,8 @@ def replayed(
             warnings.warn(f"{log.name}: {question}", stacklevel=_outside())
     strict = reading.get("strict", False)
     several = isinstance(task, Mapping)
+    if tell is None and not several and (said := as_one_goal(log)) is not None:
+        warnings.warn(f"{log.name}: {said}", stacklevel=_outside())
     tasks = (
         {name: known_costs(one) for name, one in task.items()} if isinstance(task, Mapping) else {"": known_costs(task)}
     )

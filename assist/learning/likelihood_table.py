@@ -155,7 +155,9 @@ class LikelihoodTable(ByContent):
         observations = with_neighbours(people, method.neighbours)
         table = cls.of(observations, method)
         if not table.heard.any():
-            raise InputFileError("no suggestion in the log; expected some, as influence shows in the answers to them")
+            raise InputFileError(
+                "no suggestion in the episodes that are used; expected some, as influence shows in the answers to them"
+            )
         if carry and any(o.goals.distinguished for o in observations):
             raise ValueError(
                 "carry: expected False, since each episode has one of several goals, on which trust depends"

@@ -132,6 +132,8 @@ class Log(Result):
         A sentence, also in `note`, for each column that is not read and may have the suggestions.
     simulated : bool
         Whether a simulation wrote it, in which theta begins anew in each episode: it has its policy and the true theta.
+    goals : tuple of str
+        The true goals that a simulation with several goals wrote.
     """
 
     entries: tuple[Entry, ...]
@@ -142,6 +144,7 @@ class Log(Result):
     note: str = ""
     questions: tuple[str, ...] = ()
     simulated: bool = False
+    goals: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         episodes, faults = len({entry.names for entry in self.entries}), len(self.faults)
@@ -256,6 +259,15 @@ def told(faults: Iterable[Fault], name: object) -> list[str]:
     return lines
 
 
+def as_one_goal(log: Log) -> str | None:
+    """Return a sentence on a log of several goals that is read as if all pursued one; None for any other log."""
+    if len(log.goals) < 2:
+        return None
+    shown = ", ".join(log.goals[:SHOWN]) + (", ..." if len(log.goals) > SHOWN else "")
+    wanted = "expected --goals (in Python a task for each goal)"
+    return f"all episodes are read as if they had one goal, and a simulation wrote {shown}; {wanted}"
+
+
 def selected(log: Log, faults: Iterable[Fault]) -> str | None:
     """Return a sentence on the episodes that are left out because of faults; None if there are none.
 
@@ -329,7 +341,7 @@ def _log(records: Iterable[Row], gaps: bool, name: str, taken: Taken) -> Log:
     return Log(
         tuple(entry for entry in entries if entry.names not in incomplete),
         tuple(sorted(faults, key=lambda fault: fault.line)), frozenset(people), frozenset(called), name, note,
-        tuple(taken.asked), taken.simulated,
+        tuple(taken.asked), taken.simulated, taken.goals,
     )  # fmt: skip
 
 

@@ -262,6 +262,9 @@ def named_rows(
     keys |= {key: plain(key).lower() for _, record in rows if isinstance(record, Mapping) for key in map(str, record)}
     _check(columns, list(keys.values()), name)
     taken.simulated = set(keys.values()) >= OF_A_SIMULATION
+    if taken.simulated:
+        each = (record.get("goal") for _, record in rows if isinstance(record, Mapping))
+        taken.goals = tuple(dict.fromkeys(goal for goal in each if isinstance(goal, str) and goal))
     source = _sources(columns)
     renamed = {key: name for name, own in source.items() for key, plain_key in keys.items() if plain_key == own}
     found: list[Row] = []

@@ -48,6 +48,7 @@ class Taken:
     doubtful: list[int] = field(default_factory=list)
     asked: list[str] = field(default_factory=list)
     simulated: bool = False
+    goals: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         said = list(self.said)

@@ -77,7 +77,12 @@ class Question(View):
         tuple[AnyText, ...],
         Field(description="The actions that the person may have taken last, the most probable first."),
     ]
-    worth: Annotated[AnyNumber, Field(description="Worth of the answer minus the cost of the question, in cost units.")]
+    worth: Annotated[
+        AnyNumber,
+        Field(
+            description="Worth of the answer minus the cost of the question, in cost units. What an answer about a goal saves counts with the share of a robot's attention that each person at work gets."
+        ),
+    ]
 
     @property
     def kind(self) -> str:

@@ -154,7 +154,7 @@ class Goals:
     Raises
     ------
     ValueError
-        A goal cannot be reached, the tables have different states, or the prior is no distribution.
+        A goal cannot be reached, the tables have different states (`sweep_goals`), or the prior is no distribution.
     """
 
     tables: Mapping[str, Table]
@@ -172,7 +172,10 @@ class Goals:
             if not isinstance(table, Table):
                 raise ValueError(f"goal '{name}': expected a table of all states, as `sweep_goals` returns it")  # noqa: TRY004
             if table.space.numbering is not first.space.numbering:
-                raise ValueError(f"goal '{name}' has states of its own; expected tables from one call of `sweep_goals`")
+                raise ValueError(
+                    f"goal '{name}' has states of its own, as its table is of another call of `sweep_goals`, or as the "
+                    "goal has `or`, `not`, `exists`, `forall` or numbers; expected facts that all have to hold"
+                )
             h = table.lookup([table.initial])[0]
             if not 0 < h < np.inf:
                 what = "holds in" if h == 0 else "cannot be reached from"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -69,7 +69,7 @@ class ReadingOptions(NamedTuple):
     def replayed(self, file: Path, setting: ReadingSetting, task: Any, **more: Any) -> Evidence:
         """Replay a log, as `learning.replayed` does; tell its faults. Expected errors end the command in one line."""
         from ...learning.evidence import replayed
-        from ...learning.log import selected, told
+        from ...learning.log import as_one_goal, selected, told
 
         def tell(log: Log, faults: tuple[Fault, ...]) -> None:
             for line in told(faults, file):
@@ -82,6 +82,8 @@ class ReadingOptions(NamedTuple):
         names = renamed(self.rename)
         log = log_of(file, self.columns, gaps=setting.gaps)
         tasks = task()
+        if not isinstance(tasks, Mapping) and (said := as_one_goal(log)) is not None:
+            click.echo(f"{file}: {said}", err=True)
         try:
             with usage_errors(InputFileError):
                 found = replayed(tasks, log, tell=tell, drop=self.drop, rename=names, strict=self.strict, **more)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -64,6 +65,17 @@ def register(study: UserStudy, folder: Path) -> dict[str, Any]:
     with atomic(folder / REGISTERED) as path:
         path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     return record
+
+
+def withdraw(folder: Path) -> None:
+    """Delete the record of a study that cannot be carried out, and its folder if that is empty then.
+
+    The record stays once the study has begun.
+    """
+    if not (folder / JOURNAL).exists():
+        (folder / REGISTERED).unlink(missing_ok=True)
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def require_new(folder: Path) -> None:

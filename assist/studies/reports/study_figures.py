@@ -75,7 +75,8 @@ def of_whom(found: Found) -> str:
     several = {
         "population": first.populations, "setting": first.settings, "prior": first.priors,
     }  # fmt: skip
-    parts = [f"{name} '{found.main[name]}'" for name, values in several.items() if len(values) > 1]
+    shown = {name: found.main[name] or "default" for name, values in several.items() if len(values) > 1}
+    parts = [f"{name} '{value}'" for name, value in shown.items()]
     return f" ({', '.join(parts)})" if parts else ""
 
 

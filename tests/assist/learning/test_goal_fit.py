@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT, invoke
+from conftest import KITTING, ROOT, invoke
 from simulated_people import People, record
 from test_unknown_goals import PRIOR, three_goals
 
+from assist import Pool, simulate
 from assist.learning import (
     FittedPeople,
     Log,
@@ -26,6 +28,7 @@ from assist.learning import (
 )
 from assist.people import Goals, choice, influence, lapse
 from assist.people.decision import NOTHING
+from assist.person import Setting
 from planner import Table, load, sweep_goals
 
 BETA = np.array([0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
@@ -113,6 +116,23 @@ def test_estimates_are_near_the_truth() -> None:
     errors = [np.abs(each - BETA)[1:-1].mean() for each in (found, wrong)]  # the best person made no mistake
     assert errors[0] < errors[1] / 2
     assert people.distribution().beta.mean == pytest.approx(BETA.mean(), abs=0.3)
+
+
+def test_a_trace_of_several_goals_that_is_read_as_one_goal_is_told(tmp_path: Path) -> None:
+    goals, trace = three_goals("tiny"), list[dict[str, Any]]()
+    setting = Setting(max_steps=5, knowledge="exact")
+    simulate(Pool.sample(goals, 2, seed=1, setting=setting), "none", humans=2, episodes=6, seed=1, trace=trace)
+    rows = [{"theta": 0.5, **row} for row in trace]
+    assert len({row["goal"] for row in rows}) > 1
+    with pytest.warns(UserWarning, match="all episodes are read as if they had one goal, and a simulation wrote "):
+        replayed(goals.tables["a"], rows)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        replayed(dict(goals.tables), rows)
+        replayed(goals.tables["a"], [row | {"goal": "a"} for row in rows])
+    file = tmp_path / "trace.jsonl"
+    file.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    assert "expected --goals" in invoke("fit", KITTING / "tiny.pddl", file).stderr
 
 
 def test_the_posterior_over_goals_is_that_of_infer_goals() -> None:

@@ -454,8 +454,16 @@ def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
     for command in (("fit", "--influence", "constant"), ("compare", "rules")):
         done = invoke(*command, TINY, file)
         assert done.exit_code == 1
-        assert f"{file}: no suggestion in the log" in done.stderr
+        assert f"{file}: no suggestion in the episodes that are used" in done.stderr
         assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_suggestions_of_an_episode_that_is_left_out_are_not_said_to_be_missing_in_the_log(tmp_path: Path) -> None:
+    rows = [row | {"episode": "used", "suggestion": None} for row in recorded(constant(), 1, 1, 0)]
+    spoilt = {**rows[0], "episode": "left out", "step": 3, "suggestion": rows[0]["action"]}
+    done = invoke("fit", "--influence", "constant", TINY, write_log(tmp_path / "log.jsonl", [*rows, spoilt]))
+    assert done.exit_code == 1
+    assert "no suggestion in the episodes that are used; expected some" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from assist import Pool, simulate
 from assist.people.neighbours import Neighbours
 from assist.person import ObservationModel, Setting
 from assist.studies import Study, load_study, read, run_study
+from assist.studies.reports.study_figures import of_whom
 from assist.studies.reports.study_report import Report
 from assist.studies.reports.study_summary import ARM, Found, has_same_baseline
 from assist.team.policy_names import BASELINES
@@ -132,6 +133,14 @@ settings = [{ c_suggest = 0.2, robots = 2 }, { c_suggest = 0.2, knowledge = "exa
     assert len(labels) == 3
     assert {setting for setting, against in compared if against == "none"} == labels
     assert {setting for setting, against in compared if against == "reactive"} == {"c_suggest 0.4"}
+
+
+def test_captions_call_the_default_setting_as_the_tables_do(small_study: tuple[Study, Path, dict]) -> None:
+    study, out, _ = small_study
+    first = study.conditions[0]
+    several = replace(first, settings=(*first.settings, ("dear", replace(first.settings[0][1], c_suggest=9.0))))
+    study = replace(study, conditions=(several, *study.conditions[1:]))
+    assert of_whom(Found(study, load_study(out))) == " (setting 'default')"
 
 
 CHANGED = {

@@ -8,6 +8,7 @@ import json
 import math
 import re
 import sys
+import time
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import combinations, permutations
@@ -42,6 +43,7 @@ from assist.studies.statistics import (
 )
 from assist.studies.userstudy.forecast import Forecast
 from assist.studies.userstudy.outcomes import OUTCOMES
+from assist.studies.userstudy.plan import UserStudy
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import JOURNAL
 from assist.studies.userstudy.tables import COLUMNS, Tables
@@ -589,9 +591,21 @@ def test_the_report_separates_confirmatory_from_exploratory(tmp_path: Path, text
 def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Forecast, "of", lambda study, _: Forecast(study, {}, {}))  # it takes seconds
     file, data = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data"
+    there = list[bool]()
+
+    def forecast(study: UserStudy, _: object) -> Forecast:  # a true one takes seconds
+        there.append((data / REGISTERED).exists())
+        time.sleep(0.05)
+        return Forecast(study, {}, {})
+
+    monkeypatch.setattr(Forecast, "of", forecast)
+    monkeypatch.setattr("planner.system.progress.BETWEEN_LINES", 0.01)
     said = invoke("study-prepare", file, "--data", data)
+    assert there == [True]  # a study that begins meanwhile finds it
+    assert "simulating participants, 0 s" in said.stderr
+    monkeypatch.undo()
+    monkeypatch.setattr(Forecast, "of", forecast)
     assert json.loads(said.stdout) | {"text": CONFIRMED} == json.loads((data / REGISTERED).read_text())
     assert f"serve --study {file} --data {data}` begins the study" in said.stderr
     again = invoke("study-prepare", file, "--data", data)
