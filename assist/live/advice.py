@@ -80,7 +80,8 @@ class Question(View):
     worth: Annotated[
         AnyNumber,
         Field(
-            description="Worth of the answer minus the cost of the question, in cost units. What an answer about a goal saves counts with the share of a robot's attention that each person at work gets."
+            description="Worth of the answer minus the cost of the question, in cost units. What an answer about a "
+            "goal saves counts with the share of a robot's attention that each person at work gets."
         ),
     ]
 
