@@ -219,7 +219,7 @@ def request_of(event: Event) -> tuple[str, str, dict[str, Any]]:
     """
     if event.path is None:
         raise ValueError(f"{event.kind}: expected an event that is reported over HTTP")
-    said = json.loads(event.model_dump_json(include={*event.fields()}))
+    said = json.loads(event.model_dump_json(include={*event.fields()}, exclude_defaults=True))
     inside = {name: str(said.pop(name)) for name in re.findall(r"\{(\w+)\}", event.path)}
     path = event.path.format(**{name: quote(value, safe="") for name, value in inside.items()})
     return "POST", path, said
