@@ -29,7 +29,7 @@ from .live_questions import LiveQuestions
 from .live_task import LiveTask
 from .robot_places import RobotPlaces
 from .roster import Roster
-from .uncertain_actions import is_uncertain, prepare_uncertain
+from .uncertain_actions import allows_uncertain, prepare_uncertain
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Decisions:
                 made = LiveTask(task, self._setting, population)
                 if self._setting.observation is not None:
                     self._setting.observation.require_actions_of(made.choices)
-                if is_uncertain(self._setting):
+                if allows_uncertain(self._setting):
                     prepare_uncertain(made)
                 self.solved[key] = made
             self._problems[key] = self.solved[key]

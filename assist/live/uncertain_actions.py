@@ -23,7 +23,7 @@ from .live_task import LiveTask
 from .roster import RosterEntry, Step
 
 
-def is_uncertain(setting: Setting) -> bool:
+def allows_uncertain(setting: Setting) -> bool:
     """Return whether actions may be reported that were not seen as they were."""
     return setting.observation is not None or setting.suggestions == "all"
 
@@ -57,7 +57,7 @@ def seen_of(
         raise Refusal("other", why=why)
     if action is not None:
         return None
-    if not is_uncertain(setting):
+    if not allows_uncertain(setting):
         why = "an uncertain action: expected a setting with an observation model, or suggestions 'all'"
         raise Refusal("other", why=why)
     each: dict[str, float] = {}

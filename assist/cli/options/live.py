@@ -73,6 +73,7 @@ live_options = together(
 def plan_of(team: LiveOptions) -> ServedTeam:
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
+    from ...live.uncertain_actions import allows_uncertain
     from ...people.goals import first_of
     from ...web.server import JOURNAL, ServedTeam
 
@@ -84,8 +85,7 @@ def plan_of(team: LiveOptions) -> ServedTeam:
         given.refuse(["pace", "seed", "population.sigma"], "without --simulate")
     if setting.people_store is None:
         given.refuse(["keep_people"], "without people_store")
-    doubtful = setting.observation is not None or setting.suggestions == "all"
-    check_questions(setting, given, problems, doubtful=doubtful)
+    check_questions(setting, given, problems, doubtful=allows_uncertain(setting))
     given.refuse(["knowledge", "max_steps"], "on a live team")
     (chosen_policy,) = policies_of((team.policy,)).values()
     chosen = chosen_setting(LiveSetting, setting, given, rate=False)
