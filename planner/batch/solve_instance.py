@@ -161,6 +161,8 @@ def solve_instance(
     phases = _Phases(options.time_limit, options.memory_limit, progress or (lambda *_: None), tell)
     reset_peak_memory()
     try:
+        if _too_low(options):  # before anything fails in its own way
+            raise MemoryError
         with phases.phase("read"):
             reading = read(instance)
         with ExitStack() as until_solved:
