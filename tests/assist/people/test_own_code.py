@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -38,11 +37,17 @@ def in_every_form(team: Any) -> Any:
     return team.act(person, np.zeros(team.active.shape, dtype=int))
 
 
+def only_in(situation: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Try simulations in one situation; there are a dozen, of which some take a tenth of a second."""
+    every = own_code_trials._situations
+    monkeypatch.setattr(
+        own_code_trials, "_situations", lambda *given: (one for one in every(*given) if one[0] == situation)
+    )
+
+
 @pytest.fixture
 def one_situation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Try simulations in the first situation alone; there are a dozen, of which some take a tenth of a second."""
-    situations = own_code_trials._situations
-    monkeypatch.setattr(own_code_trials, "_situations", lambda *given, **more: islice(situations(*given, **more), 1))
+    only_in("three people", monkeypatch)
 
 
 def by_the_mean(team: Any) -> Any:
@@ -243,8 +248,8 @@ def test_terms_are_tried_where_there_is_no_last_action() -> None:
     assert "each row by itself" in only(by_place, "a small task")
 
 
-@pytest.mark.usefixtures("one_situation")
-def test_the_command_says_what_is_wrong_and_ends_with_1(tmp_path: Path) -> None:
+def test_the_command_says_what_is_wrong_and_ends_with_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    only_in("three possible goals", monkeypatch)
     own = tmp_path / "own.py"
     own.write_text(
         "def policy(team):\n    return 1 / 0\n\n\nclass Rule:\n    def __init__(self, step):\n        pass\n"

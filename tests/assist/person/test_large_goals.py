@@ -13,12 +13,13 @@ from test_unknown_goals import three_goals
 
 from assist.certify import upper_bound
 from assist.live import Assistant
-from assist.people import Goals, Human, HumanModel
+from assist.people import Choices, Goals, Human, HumanModel
 from assist.people.misconception import Misconception
 from assist.people.ranges import Population
 from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, TruncatedTask, person_problem
 from assist.person.assumptions import Assumptions
 from assist.person.closed_problem import closed_problem
+from assist.person.each_goal import given_goals
 from assist.person.mdp_values import evaluate
 from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
 from assist.person.qmdp import QMDP, qmdp
@@ -72,6 +73,17 @@ def test_values_with_all_states_are_those_of_the_whole_task(knowledge: Any, sugg
     expected, found = (policy.q_values(policy.rows(x), belief) for policy in (whole, part))
     assert np.isfinite(expected[:, : found.shape[1]]).sum() == np.isfinite(expected).sum()
     np.testing.assert_allclose(found, expected[:, : found.shape[1]], rtol=0, atol=1e-9)
+
+
+def test_each_goals_problem_is_that_of_people_with_that_goal() -> None:
+    goals = three_goals("tiny")
+    more: dict[str, Any] = {"suggestions": "all", "robot": OfRobots(c_suggest=0.2)}
+    every = given_goals(AssistPOMDP.of(HumanModel.exact(goals.choices()), **more))
+    assert [share for share, _ in every] == list(goals.prior.values())
+    for (_, problem), table in zip(every, goals.tables.values(), strict=True):
+        alone = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), **more)
+        np.testing.assert_allclose(problem.prior, alone.prior, rtol=1e-12)
+        np.testing.assert_allclose(qmdp(problem).value_mdp, qmdp(alone).value_mdp, atol=1e-5)
 
 
 def test_a_solver_of_ones_own_acts_for_people_with_several_goals(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -99,7 +99,7 @@ def test_changed_actions_are_better_on_other_sample_paths() -> None:
 
 def test_it_infers_goals() -> None:
     pool = of(three_goals("tiny"))
-    found = simulate(pool, "rollout", humans=TEAM, episodes=2, seed=0)
+    found = simulate(pool, "rollout", humans=2, episodes=2, seed=0)
     assert found.finished.all()
     assert found.interventions.any()
 
