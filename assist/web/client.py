@@ -219,9 +219,11 @@ def request_of(event: Event) -> tuple[str, str, dict[str, Any]]:
     """
     if event.path is None:
         raise ValueError(f"{event.kind}: expected an event that is reported over HTTP")
-    said = json.loads(event.model_dump_json(include={*event.fields()}, exclude_defaults=True))
-    inside = {name: str(said.pop(name)) for name in re.findall(r"\{(\w+)\}", event.path)}
+    every = json.loads(event.model_dump_json(include={*event.fields()}))
+    inside = {name: str(every.pop(name)) for name in re.findall(r"\{(\w+)\}", event.path)}
     path = event.path.format(**{name: quote(value, safe="") for name, value in inside.items()})
+    differs = event.model_dump(exclude_defaults=True).keys() | event.never_left_out
+    said = {name: value for name, value in every.items() if name in differs}
     return "POST", path, said
 
 
