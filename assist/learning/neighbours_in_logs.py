@@ -79,18 +79,32 @@ def seen_families(own: TrustRule | RuleFamily, neighbours: Neighbours | None = N
     neighbours : Neighbours, optional
         Its rule is one of those that are returned, also if it is the user's own, which is taken unchanged.
     """
-    mine = own if isinstance(own, RuleFamily) else RuleFamily.of(own)
-    each = {name: RuleFamily.made_by(make) for name, make in SEEN_RULES.items() if make is not SeenNothing}
-    if not is_declared(type(given := seen_rule_of(neighbours))):
-        each[name_of(given)] = RuleFamily.of(given)
-    return {"none": mine} | {name: mine.joined(one, WithSeen, f", neighbours {name}") for name, one in each.items()}
+    mine, seen = _family(own), _seen(neighbours)
+    return {"none": mine} | {name: _joined(mine, name, one) for name, one in seen.items()}
 
 
 def rule_beside(own: TrustRule | RuleFamily, method: Method) -> RuleFamily:
     """Return the family of a rule of one's own, beside which theta moves by what is known beforehand of neighbours."""
     seen: Any = seen_rule_of(method.neighbours)
     name = seen.tag["rule"] if is_declared(type(seen)) else name_of(seen)
-    return seen_families(own, method.neighbours)[name]
+    mine = _family(own)
+    return mine if name == "none" else _joined(mine, name, _seen(method.neighbours)[name])
+
+
+def _family(own: TrustRule | RuleFamily) -> RuleFamily:
+    return own if isinstance(own, RuleFamily) else RuleFamily.of(own)
+
+
+def _seen(neighbours: Neighbours | None) -> dict[str, RuleFamily]:
+    """Return the rules by which theta moves by what is seen alone, by name, but not "none"."""
+    each = {name: RuleFamily.made_by(make) for name, make in SEEN_RULES.items() if make is not SeenNothing}
+    if not is_declared(type(given := seen_rule_of(neighbours))):
+        each[name_of(given)] = RuleFamily.of(given)
+    return each
+
+
+def _joined(own: RuleFamily, name: str, seen: RuleFamily) -> RuleFamily:
+    return own.joined(seen, WithSeen, f", neighbours {name}")
 
 
 def _places(evidence: Evidence, people: Iterable[Observations]) -> Mapping[tuple[str, str], int]:

@@ -299,10 +299,9 @@ class Cohort(Teams, History[StudyRecord]):
     def beliefs(self) -> dict[str, bytes]:
         """Return the belief about each member of a team that has begun a task, in their latest team, as exact bytes."""
         every = [one for who in self.participants.values() for one in who.teams.items() if one[0][0] == "task"]
-        every.sort(key=lambda one: one[0])  # by period: in the order of participants, what is said of one would depend
-        return {
-            person: belief for _, team in every for person, belief in team.team.beliefs().items()
-        }  # on who is there
+        # By period: in the order of participants, the belief in one would depend on who else is there.
+        every.sort(key=lambda one: one[0])
+        return {person: belief for _, team in every for person, belief in team.team.beliefs().items()}
 
     @property
     def advices(self) -> tuple[Advice, ...]:
