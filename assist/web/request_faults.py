@@ -42,7 +42,7 @@ def _of_parameter(request: Request, name: str, fault: dict[str, Any]) -> str:
     """Return the fault of a parameter of the address."""
     route = request.scope["route"]
     fields = [*route.dependant.path_params, *route.dependant.query_params] if isinstance(route, APIRoute) else []
-    kinds = (Annotated[one.field_info.annotation, *one.field_info.metadata] for one in fields if one.alias == name)
+    kinds = (Annotated[one.field_info.annotation, one, *one.field_info.metadata] for one in fields if one.alias == name)
     right = next(map(phrase, kinds), "another value")
     if fault["type"] == "missing":
         return f"parameter {name!r} of the address: is missing; expected {right}"

@@ -527,6 +527,13 @@ def test_the_operator_erases_what_is_recorded_of_a_person(web: Web) -> None:
 
 
 @pytest.mark.cases
+def test_a_name_that_is_too_long_is_told_where_the_parameter_has_no_limits_of_its_own(web: Web) -> None:
+    found = web.ask("GET", f"/api/log?task={'t' * 201}")
+    assert found.status_code == 422
+    assert found.json()["detail"].endswith(": expected the name of a task, of up to 200 characters")
+
+
+@pytest.mark.cases
 def test_what_a_request_misspells_is_told(web: Web) -> None:
     """Unknown parameters of an address, a view that there cannot be yet, a body that is not said to be JSON."""
     for path, said in (
