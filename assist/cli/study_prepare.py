@@ -47,7 +47,7 @@ def study_prepare(
     differences the study can show is said on stderr, by simulation, and which policy hardly suggests anything.
     """
     from ..declare.declared import plain
-    from ..studies.reports.preregistration import register, withdraw
+    from ..studies.reports.preregistration import register, unregister
     from ..studies.userstudy.plan_file import read
 
     if check and links is not None:
@@ -63,7 +63,7 @@ def study_prepare(
             forecast = _forecast(study)
         except BaseException:
             if record is not None and data is not None:
-                withdraw(data)
+                unregister(data)
             raise
         for text in forecast.remarks():
             note(text)

@@ -219,7 +219,7 @@ class Observations(Result):
 
     @property
     def mistakes_by_goal(self) -> NDArray[np.bool_]:
-        """Whether each action was not an optimal choice with each goal, shape (G, N); after the goal, none is one."""
+        """Whether each action was a mistake with each goal, shape (G, N): not an optimal choice, or after the goal."""
         return self.goals.reached | ~self.by_goal("optimal")[:, np.arange(len(self)), self.chosen]
 
     @property

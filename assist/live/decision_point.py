@@ -270,7 +270,7 @@ class DecisionPoint:
         """
         _, policy, row = self._at(place)
         pomdp, goals = policy.pomdp, policy.pomdp.model.choices.goals
-        share = pomdp.hidden.told_goals(self.beliefs.belief[place])
+        share = pomdp.hidden.shown_goals(self.beliefs.belief[place])
         optimal = goals.optimal[row, pomdp.suggested[row, said]] & ~goals.goal[:, row]
         goal = int(np.where(optimal if optimal.any() else True, share, -1.0).argmax())
         return goal, float(share[goal])

@@ -185,10 +185,10 @@ class HiddenType:
         """Return the probability of each goal under a belief, shape (H, T); nothing if the goal is known."""
         if not self.distinguishes_goals:
             return {}
-        return dict(zip(self.goals, self.told_goals(belief).tolist(), strict=True))
+        return dict(zip(self.goals, self.shown_goals(belief).tolist(), strict=True))
 
-    def told_goals(self, belief: Floats) -> Floats:
-        """Return the probability of each goal, shape (G,), as it is told to people: what is certain is 1 exactly."""
+    def shown_goals(self, belief: Floats) -> Floats:
+        """Return the probability of each goal, shape (G,), as people are shown it: what is certain is 1 exactly."""
         share = self.marginal(belief, "goal")
         return np.where(is_certain(share), 1.0, share)
 

@@ -67,7 +67,7 @@ def register(study: UserStudy, folder: Path) -> dict[str, Any]:
     return record
 
 
-def withdraw(folder: Path) -> None:
+def unregister(folder: Path) -> None:
     """Delete the record of a study that cannot be carried out, and its folder if that is empty then.
 
     The record stays once the study has begun.
