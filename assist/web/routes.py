@@ -15,6 +15,7 @@ from ..declare.refusals import AbsentError, Refusal
 from ..live.names import LONGEST_REASON
 from ..live.store import Tombstone
 from ..live.views import PersonView, RobotView
+from ..studies.userstudy.views import ParticipantView
 from . import cookies
 from .authorization import READ, Desk, Numbered, Operator, Own, bearer, refusals
 from .schemas import Drawn, Explained, Health, Me, Reloaded, Team
@@ -63,7 +64,7 @@ async def session(request: Request, service: Desk) -> Response:
     return answer
 
 
-@router.get("/api/people/{person}", tags=["people"], response_model=PersonView, responses=READ)
+@router.get("/api/people/{person}", tags=["people"], response_model=PersonView | ParticipantView, responses=READ)
 async def view(person: Own, service: Desk) -> Response:
     """Return a person's view: the applicable actions, the suggestion and its reasons."""
     return plain(service.view(person))
