@@ -105,6 +105,8 @@ class PopulationFit(Result):
         The trust rule, as `people.trust_rules.plain_rule` writes it, if it was fitted.
     utility_scale : float
         Unit of value in the trust update of which `eta` is the rate, in cost units.
+    unidentified : tuple of str
+        Parameters of the trust rule that the data say nothing about, so that their values are any that were tried.
     """
 
     people: int
@@ -116,6 +118,7 @@ class PopulationFit(Result):
     weights: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     trust: Mapping[str, Any] | None = None
     utility_scale: float = 1.0
+    unidentified: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self.shares.flags.writeable = False
@@ -177,6 +180,7 @@ class PopulationFit(Result):
             "log_likelihood": self.log_likelihood,
             **({"weights": {name: list(one) for name, one in self.weights.items()}} if self.weights else {}),
             **({} if self.trust is None else {"trust": dict(self.trust)}),
+            **({"unidentified": list(self.unidentified)} if self.unidentified else {}),
             "parts": [
                 {"share": share, **plain(part)} for share, part in zip(mixture.shares, mixture.parts, strict=True)
             ],
@@ -223,6 +227,20 @@ def trust_of(record: dict[str, Any]) -> TrustRule | None:
         return of_table(RULES, plain)
     except DeclarationError as error:
         raise ValueError(f"{spelt(('trust', *error.place))}: {error.told}") from None
+
+
+def unidentified_of(record: dict[str, Any]) -> dict[str, float]:
+    """Return the parameters of the trust rule of a `PopulationFit.as_dict` that are not known, with their values there.
+
+    Raises
+    ------
+    ValueError
+        An entry is no number, or is not there.
+    """
+    names, trust = record.get("unidentified") or [], record.get("trust")
+    if not isinstance(names, list) or (names and not isinstance(trust, dict)):
+        raise ValueError(f"unidentified {names!r}; expected names of numbers in trust")
+    return {str(name): number(f"trust: {name}", trust.get(name)) for name in names}  # type: ignore[union-attr]
 
 
 def rate_of(record: dict[str, Any]) -> dict[str, float]:

@@ -136,7 +136,7 @@ class InfluenceFit(Result):
         beta, theta = self.margins
         return PopulationFit(
             len(self.people), beta, theta, self.parameters.get("eta"), self.log_likelihood,
-            np.multiply.outer(beta.shares, theta.shares), trust=plain_rule(self.trust),
+            np.multiply.outer(beta.shares, theta.shares), trust=plain_rule(self.trust), unidentified=self.unidentified,
         )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import click
 
 from ...declare.options import Given
 from ...person.settings import Setting
+from ..terminal.console import note
 from .settings import record_of
 
 S = TypeVar("S", bound=Setting)
@@ -40,6 +41,7 @@ def chosen_setting(kind: type[S], setting: Setting, given: Given[Any], *, rate: 
 
     try:
         rule, estimated = populations.trust_of(record := record_of(Path(file))), populations.rate_of(record)
+        unknown = populations.unidentified_of(record)
     except ValueError as error:
         raise click.UsageError(f"--population {file}: {error}") from None
     own = any(name in given for name in RATES)
@@ -49,6 +51,9 @@ def chosen_setting(kind: type[S], setting: Setting, given: Given[Any], *, rate: 
     for name in ("trust", *RATES):
         if name in given:
             raise click.UsageError(f"--population {file} also sets {name}; expected one of them")
+    for name, value in unknown.items():
+        says_nothing = f"its log says nothing about {name} of the trust rule"
+        note(f"--population {file}: {says_nothing}; {value:g} is one of many values")
     if isinstance(rule, EquationSeven):
         return replace(chosen, trust="paper", eta=rule.eta, utility_scale=rule.utility_scale)
     return replace(chosen, trust=rule)

@@ -397,6 +397,21 @@ def test_a_population_file_has_the_rule(log_file: Path, tmp_path: Path) -> None:
     simulated_by_its_rule(people, "constant")
 
 
+def test_a_parameter_of_which_the_log_says_nothing_is_named_in_the_population_and_where_it_is_taken(
+    tmp_path: Path,
+) -> None:
+    log = write_log(tmp_path / "log.jsonl", recorded(outcome(0.3, 0.5), 6, 8, 5, good=1.0))
+    people = tmp_path / "people.json"
+    done = invoke("fit", TINY, log, "--influence", "outcome", "--write-population", people)
+    record = json.loads(people.read_text())
+    assert (done.exit_code, record["unidentified"]) == (0, ["loss"]), done.output
+    done = invoke("simulate", TINY, *["--humans", "1", "--pool", "1", "--episodes", "1"], "--population", people)
+    assert (done.exit_code, "its log says nothing about loss of the trust rule" in done.stderr) == (0, True)
+    people.write_text(json.dumps(record | {"unidentified": ["los"]}))
+    done = invoke("simulate", TINY, *["--humans", "1"], "--population", people)
+    assert (done.exit_code, "trust: los" in done.stderr) == (2, True), done.stderr
+
+
 def simulated_by_its_rule(people: Path, rule: str) -> None:
     """`simulate` draws people from a file whose theta moves by its rule, which the robot knows."""
     record = json.loads(people.read_text())
