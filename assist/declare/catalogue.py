@@ -135,8 +135,7 @@ def _read(file: Path, _changed: int, own: bool) -> Catalogue:
     """Return the texts in a file, which is read again after it has changed."""
     texts = dict(_texts(tables.load(file)))
     if own or file.stem != FIRST:
-        with tables.located(file):
-            _check(file, texts, catalogue(FIRST).texts)
+        _check(file, texts, catalogue(FIRST).texts)
     return Catalogue(file, texts)
 
 

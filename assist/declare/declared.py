@@ -155,19 +155,27 @@ class DeclarationError(ValueError):
         The value, as a file has it; None if there is none to show.
     right : str
         What is expected, or what is wrong if `found` is None.
+    fields : tuple of str
+        Of a fault of several fields together, or of one of them: those fields of the object at the place, the one that
+        should be changed first. Empty if the place says it.
     """
 
-    def __init__(self, place: Place, found: Any, right: str, message: str) -> None:
+    def __init__(self, place: Place, found: Any, right: str, message: str, fields: tuple[str, ...] = ()) -> None:
         super().__init__(message)
-        self.place, self.found, self.right = place, found, right
+        self.place, self.found, self.right, self.fields = place, found, right, fields
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.place, self.found, self.right, str(self))
+        return type(self), (self.place, self.found, self.right, str(self), self.fields)
+
+    @classmethod
+    def among(cls, right: str, *fields: str) -> DeclarationError:
+        """Return a fault of fields of an object, which its class finds when it is made."""
+        return cls((), None, right, right, fields)
 
     def within(self, place: Place) -> DeclarationError:
         """Return the fault as one of the object at a place."""
         message = f"{spelt(place)}: {self}" if place else str(self)
-        return DeclarationError((*place, *self.place), self.found, self.right, message)
+        return DeclarationError((*place, *self.place), self.found, self.right, message, self.fields)
 
     @property
     def told(self) -> str:

@@ -233,12 +233,12 @@ class Given(Generic[T]):
                 what = f"{table}.{spelt(place)}".strip(".")
                 return f"{source}:{tables.line_of(source, what)}: {what}: {error.told}"
             return f"{source}: {f'{spelt(place)}: ' * (len(place) > length)}{error.told}"
-        for one, (source, table) in self.sources.items():  # a fault of several fields, which names one of a file
-            names_it = one[: len(place)] == place and re.search(rf"\b{one[-1]}\b", error.right)
-            if isinstance(source, Path) and names_it:
-                line = tables.line_of(source, f"{table}.{spelt(one)}".strip("."))
-                what = f"{table}.{spelt(place)}".strip(".")
-                return f"{source}:{line}: {what}{': ' * bool(what)}{error.told}"
+        for field in error.fields:
+            for one, (source, table) in self.sources.items():
+                if isinstance(source, Path) and one[: len(place) + 1] == (*place, field):
+                    line = tables.line_of(source, f"{table}.{spelt(one)}".strip("."))
+                    what = f"{table}.{spelt(place)}".strip(".")
+                    return f"{source}:{line}: {what}{': ' * bool(what)}{error.told}"
         return str(error)
 
 
@@ -382,8 +382,7 @@ def _of_setting(file: Path, kind: Any, command: click.Command) -> dict[str, Any]
     options = {one.opts[0].lstrip("-").replace("-", "_") for one in command.params} | {"setting", "tasks"}
     meant_for_config = [name for name in content if name in options and name not in known]
     if meant_for_config and "config" in options:
-        with tables.located(file):
-            raise tables.fault(file, meant_for_config[0], "unknown; this is a file for --config")
+        raise tables.fault(file, meant_for_config[0], "unknown; this is a file for --config")
     return content
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
@@ -31,36 +31,27 @@ def load(file: Path) -> dict[str, Any]:
         line = data.count(b"\n", 0, error.start) + 1
         message = f"byte {error.start} is not UTF-8; expected a text file in that encoding"
         raise InputFileError.of(file, line, message) from None
-    except tomllib.TOMLDecodeError as error:
+    except tomllib.TOMLDecodeError as error:  # whose fields with the place are of Python 3.14
         what, _, where = str(error).removesuffix(")").partition(" (at ")
         line, column = re.findall(r"\d+", where) or (len(data.splitlines()), None)
         at = where if column is None else f"column {column}"
         raise InputFileError.of(file, int(line), f"not TOML ({at}: {what})") from None
 
 
-def fault(file: Path, place: str, message: str) -> InputFileError:
-    """Return an error with the file and the place of the fault."""
-    return InputFileError(f"{file}: {place}: {message}")
+def fault(file: Path, place: str, message: str, fields: Sequence[str] = ()) -> InputFileError:
+    """Return an error with the file, the line and the place of the fault, which may be one of these fields of it."""
+    line = line_of(file, place, fields) if file.is_file() else None
+    return InputFileError.of(file, line, f"{place}: {message}")
 
 
-@contextmanager
-def located(file: Path) -> Iterator[None]:
-    """Add the line number to errors about a place in a file."""
-    try:
-        yield
-    except InputFileError as error:
-        what = str(error).removeprefix(f"{file}: ")
-        if what == str(error) or not file.is_file():
-            raise
-        raise InputFileError(f"{file}:{line_of(file, what)}: {what}") from error.__cause__
+def line_of(file: Path, place: str, fields: Sequence[str] = ()) -> int:
+    """Return the line, counted from 1, where a value begins, or the table that should contain it.
 
-
-def line_of(file: Path, fault: str) -> int:
-    """Return the line, counted from 1, where the value at fault begins, or the table that should contain it."""
+    Of a table it is the line of the first of the given fields that stands there.
+    """
     text = file.read_bytes().decode("utf-8-sig", errors="replace")
     path: list[Any] = [
-        int(number) - 1 if number else name
-        for name, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", fault.partition(": ")[0])
+        int(number) - 1 if number else name for name, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", place)
     ]
     lines = text.splitlines()
     parsed: list[tuple[int, dict[str, Any]]] = [(0, {})]
@@ -69,6 +60,7 @@ def line_of(file: Path, fault: str) -> int:
             parsed.append((number, tomllib.loads("\n".join(lines[:number]))))
         except tomllib.TOMLDecodeError:
             continue
+    path += [name for name in fields if _has(parsed[-1][1], [*path, name])][:1]
     while path:
         for (before, _), (_, content) in pairwise(parsed):
             if _has(content, path):
@@ -133,7 +125,7 @@ def told(file: Path, place: str = "") -> Iterator[None]:
         yield
     except DeclarationError as error:
         within = f"{place}.{spelt(error.place)}".strip(".") if error.place else place
-        raise fault(file, within or "the file", error.told) from None
+        raise fault(file, within or "the file", error.told, error.fields) from None
 
 
 def label(mapping: Mapping[str, Any]) -> str:

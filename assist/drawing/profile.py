@@ -44,7 +44,7 @@ from planner.system.errors import expected
 
 from ..declare.catalogue import FIRST, TAG, Catalogue, catalogue, languages
 from ..declare.declared import Count, Expected, Text, Truth, declared
-from ..declare.tables import convert, fault, load, located
+from ..declare.tables import convert, fault, load
 from .subject import Atom, Subject, atom, is_number
 
 FILE = "drawing.toml"
@@ -254,28 +254,27 @@ def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profil
     InputFileError
         The file is not TOML, or has an entry that is unknown, malformed or not of the domain.
     """
-    with located(file):
-        content = convert(load(file), ProfileFile, file)
-        arities = {fact[0]: len(fact) - 1 for fact in (*subject.constant, *subject.changing)}
-        if subject.domain is not None:
-            _require_known(file, content, subject, subject.domain)
-        rules = {
-            table: {
-                predicate: _rule(file, table, predicate, text, content.things, arities)
-                for predicate, text in getattr(content, table).items()
-            }
-            for table in PATTERNS
+    content = convert(load(file), ProfileFile, file)
+    arities = {fact[0]: len(fact) - 1 for fact in (*subject.constant, *subject.changing)}
+    if subject.domain is not None:
+        _require_known(file, content, subject, subject.domain)
+    rules = {
+        table: {
+            predicate: _rule(file, table, predicate, text, content.things, arities)
+            for predicate, text in getattr(content, table).items()
         }
-        own: dict[str, Look] = {}
-        for look in content.types.values():
-            for name in _known_by(look.of, subject):
-                own.setdefault(name, look)
-        profile = Profile(
-            types=dict(content.types), own=own, things=dict(content.things), words=content.words,
-            hidden=frozenset(content.hide.predicates), places=rules["places"], marks=rules["marks"],
-            links=rules["links"], colours=rules["colours"],
-        )  # fmt: skip
-        return _translated(file, content.texts, profile, texts or catalogue(), content.language)
+        for table in PATTERNS
+    }
+    own: dict[str, Look] = {}
+    for look in content.types.values():
+        for name in _known_by(look.of, subject):
+            own.setdefault(name, look)
+    profile = Profile(
+        types=dict(content.types), own=own, things=dict(content.things), words=content.words,
+        hidden=frozenset(content.hide.predicates), places=rules["places"], marks=rules["marks"],
+        links=rules["links"], colours=rules["colours"],
+    )  # fmt: skip
+    return _translated(file, content.texts, profile, texts or catalogue(), content.language)
 
 
 def _require_known(file: Path, content: ProfileFile, subject: Subject, domain: Domain) -> None:

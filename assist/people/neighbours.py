@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, PlainValidator
 
-from ..declare.declared import MOST, Beside, Expected, Number, Truth, declared, is_declared
+from ..declare.declared import MOST, Beside, DeclarationError, Expected, Number, Truth, declared, is_declared
 from .given_rules import given_as, possible
 from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, Fitted, TrustRule, by_name, counts_of
 from .user_code import UserCodeError, UserSeenRule, function_beside
@@ -326,19 +326,19 @@ class Neighbours:
 
     def __post_init__(self) -> None:
         if self.pairs is not None and self.matrix is not None:
-            raise ValueError("pairs and matrix: expected one of them")
+            raise DeclarationError.among("pairs and matrix: expected one of them", "pairs", "matrix")
         for pair in self.pairs or ():
             a, b, w = (*pair, 1.0)[:3] if len(pair) in (2, 3) else (0.0, 0.0, 0.0)
             if a != int(a) or b != int(b) or min(a, b) < 1 or a == b or not 0 <= w <= 1:
-                raise ValueError(
-                    f"pairs: {list(pair)}; expected two stations, numbered from 1, and perhaps a weight from 0 to 1"
-                )
+                right = f"pairs: {list(pair)}; expected two stations, numbered from 1, and perhaps a weight from 0 to 1"
+                raise DeclarationError.among(right, "pairs")
         for k, row in enumerate(self.matrix or ()):
             if len(row) != len(self.matrix or ()) or row[k] != 0 or not all(0 <= w <= 1 for w in row):
-                raise ValueError(
+                right = (
                     f"matrix: row {k + 1} is {list(row)}; expected as many numbers from 0 to 1 as there are rows, and "
                     "0 on the diagonal"
                 )
+                raise DeclarationError.among(right, "matrix")
 
     @property
     def stations(self) -> int:

@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from planner.system.errors import require_kind
 
-from ..declare.declared import MOST, Beside, Expected, Number, declared, default_of
+from ..declare.declared import MOST, Beside, DeclarationError, Expected, Number, declared, default_of
 from ..declare.declared import Range as Span
 from .user_code import UserChoiceModel, function_beside, parse
 
@@ -103,27 +103,28 @@ class Population:
 
     def __post_init__(self) -> None:
         if self.chooses is not None and self.weights:
-            raise ValueError(f"weights of {', '.join(self.weights)}, and a choice model: expected one of them")
+            right = f"weights of {', '.join(self.weights)}, and a choice model: expected one of them"
+            raise DeclarationError.among(right, "weights", "chooses")
         if len(self.parts) != len(self.shares):
-            raise ValueError(f"{len(self.parts)} parts, {len(self.shares)} shares: expected one share for each part")
+            right = f"{len(self.parts)} parts, {len(self.shares)} shares: expected one share for each part"
+            raise DeclarationError.among(right, "shares", "parts")
         if self.parts:
             self._contain_parts()
 
     def _contain_parts(self) -> None:
         if not (min(self.shares) >= 0 and abs(sum(self.shares) - 1) <= 1e-6):
-            raise ValueError(
-                f"the shares add up to {sum(self.shares):g}; expected numbers of 0 or more that add up to 1"
-            )
+            right = f"the shares add up to {sum(self.shares):g}; expected numbers of 0 or more that add up to 1"
+            raise DeclarationError.among(right, "shares")
         first = self.parts[0]
         if any(part.chooses is not first.chooses for part in self.parts):
-            raise ValueError("parts with different choice models; expected the same for all")
+            raise DeclarationError.among("parts with different choice models; expected the same for all", "parts")
         names = dict.fromkeys(name for part in self.parts for name in part.weights)
         spans = {name: [part.weights.get(name, (0.0, 0.0)) for part in self.parts] for name in names}
         hull: dict[str, Any] = {name: _hull([getattr(part, name) for part in self.parts]) for name in RANGES}
         hull |= {"weights": {name: _hull(each) for name, each in spans.items()}, "chooses": first.chooses}
         for name, whole in hull.items():
             if getattr(self, name) not in (default_of(Population, name), whole):
-                raise ValueError(f"{name}: a mixture has that of its parts; expected none")
+                raise DeclarationError.among(f"{name}: a mixture has that of its parts; expected none", name)
             object.__setattr__(self, name, whole)
 
     @classmethod

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from planner.system.errors import nearest
 
-from ..declare.declared import Number, declared
+from ..declare.declared import DeclarationError, Number, declared
 
 if TYPE_CHECKING:
     from ..people.choices import Choices
@@ -48,9 +48,11 @@ class ObservationModel:
         for action, row in self.confusion.items():
             others = {_plain(seen): p for seen, p in row.items()}
             if not _total(others) < 1:
-                raise ValueError(f"confusion of {action}: sum {_total(others):g}: expected a number below 1")
+                right = f"confusion of {action}: sum {_total(others):g}: expected a number below 1"
+                raise DeclarationError.among(right, "confusion")
             if _plain(action) in others:
-                raise ValueError(f"confusion of {action}: expected other actions only, and it is one of them")
+                right = f"confusion of {action}: expected other actions only, and it is one of them"
+                raise DeclarationError.among(right, "confusion")
             rows[_plain(action)] = others
         object.__setattr__(self, "confusion", rows)
 

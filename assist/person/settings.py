@@ -13,6 +13,7 @@ from planner.system.errors import require_kind
 from ..declare.declared import (
     MOST,
     Beside,
+    DeclarationError,
     Expected,
     Number,
     Usual,
@@ -150,14 +151,14 @@ class Setting(OfRobots):
 
     def __post_init__(self) -> None:
         if self.observation is not None and moves_theta(self.neighbours):
-            raise ValueError(
-                "neighbours: expected none with an observation model, as robots do not know then what people saw"
-            )
+            right = "neighbours: expected none with an observation model, as robots do not know then what people saw"
+            raise DeclarationError.among(right, "neighbours", "observation")
         for m, robot in enumerate(self.robots, start=1):
             executes = self.execute if robot.execute is None else robot.execute
             if self.observation is not None and executes:
-                who = f"robot {m}: " * (self.robots[m - 1].execute is not None)
-                raise ValueError(f"{who}execute: expected actions that are all seen as they are")
+                own = self.robots[m - 1].execute is not None
+                right = f"{f'robot {m}: ' * own}execute: expected actions that are all seen as they are"
+                raise DeclarationError.among(right, "robots" if own else "execute", "observation")
 
     @classmethod
     def of(cls, other: Setting) -> Self:

@@ -16,7 +16,7 @@ from planner import CostToGo, Instance, Table
 from planner.system.errors import InputFileError
 from planner.system.progress import Progress, adding
 
-from ..declare.tables import fault, located
+from ..declare.tables import fault
 from ..people.choices import Choices
 from ..people.memory import choices_of
 from ..people.ranges import Population
@@ -214,6 +214,5 @@ def check(study: Study, progress: Progress = lambda *_: None) -> None:
                     Assumptions.of(setting, None, Population()).problem(choices, frontier)
                     setting.require_questions(possible=choices.goals.distinguished)
                 except ValueError as error:
-                    with located(study.file):
-                        place = f"conditions[{number}].settings[{which}]" if label else "setting"
-                        raise fault(study.file, place, str(error)) from None
+                    place = f"conditions[{number}].settings[{which}]" if label else "setting"
+                    raise fault(study.file, place, str(error)) from None

@@ -26,7 +26,7 @@ from ..declare.declared import (
     declared,
     names_of,
 )
-from ..declare.tables import convert, fault, label, load, located, replaced
+from ..declare.tables import convert, fault, label, load, replaced
 from ..people.ranges import Population
 from ..people.user_code import parse
 from ..person.settings import Setting
@@ -108,10 +108,9 @@ def read(study: str | Path, *, repeats: int | None = None, baseline: str | None 
                 f"no protocol '{study}'; {meant(str(study), shipped(), ' or a file that ends in .toml')}"
             )
         file = PROTOCOLS / f"{study}.toml"
-    with located(file):
-        table = convert(load(file), StudyTable, file)
-        table = replace(table, repeats=repeats or table.repeats, baseline=baseline or table.baseline)
-        return Reader(file, table).study()
+    table = convert(load(file), StudyTable, file)
+    table = replace(table, repeats=repeats or table.repeats, baseline=baseline or table.baseline)
+    return Reader(file, table).study()
 
 
 @dataclass(frozen=True)

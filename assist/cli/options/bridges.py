@@ -51,7 +51,7 @@ class Beside:
 
         names = {action for task in tasks for each in each_of(task) for action in each.task.actions}
         try:
-            with toml.located(self.file), toml.told(self.file):
+            with toml.told(self.file):
                 self.settings.require_possible({tuple(name[1:-1].lower().split()) for name in names})
         except InputFileError as error:
             raise click.UsageError(str(error)) from None

@@ -103,13 +103,12 @@ def read_config(file: Path, options: Sequence[click.Parameter]) -> dict[str, Any
     without = {"config", "changes", "setting_file"}
     known = {_name(one): one for one in options if one.name not in without and not isinstance(one, FieldOption)}
     try:
-        with toml.located(file):
-            content = toml.load(file)
-            for name in names_of(ServeSetting):
-                if name in content and name not in known:
-                    what = "unknown; expected it in the table `setting`, or a file for --setting"
-                    raise toml.fault(file, name, what)
-            table = toml.convert(content, _kinds(known), file)
+        content = toml.load(file)
+        for name in names_of(ServeSetting):
+            if name in content and name not in known:
+                what = "unknown; expected it in the table `setting`, or a file for --setting"
+                raise toml.fault(file, name, what)
+        table = toml.convert(content, _kinds(known), file)
     except InputFileError as error:
         raise click.UsageError(str(error)) from None
     found = {name: value for name, value in vars(table).items() if value is not None}

@@ -14,6 +14,7 @@ from planner.system.files import read_json
 from ...declare.declared import (
     Beside,
     Count,
+    DeclarationError,
     Expected,
     Number,
     Range,
@@ -100,7 +101,8 @@ def _real(given: Any) -> Any:
         return _population(given)
     found = Population(**given)
     if others := set(given) - {*OF_ADVICE_TAKERS}:
-        raise ValueError(f"{' and '.join(sorted(others))} without theta; expected theta as well")
+        right = f"{' and '.join(sorted(others))} without theta; expected theta as well"
+        raise DeclarationError.among(right, *sorted(others))
     return advice_takers(found.beta, found.sigma, chooses=found.chooses)
 
 

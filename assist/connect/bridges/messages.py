@@ -22,7 +22,7 @@ from planner.system.errors import expected as meant
 from ...declare import tables as toml
 from ...declare.declared import DeclarationError, Expected, Place, Text, declared, spelt
 from ...declare.refusals import Refusal
-from ...declare.tables import convert, located, told
+from ...declare.tables import convert, told
 from ...live.event_base import OfPerson, fault_of
 from ...live.events import kinds
 from ...people.action_names import Words, words_of, wrong_form
@@ -466,7 +466,7 @@ class BridgeSettings:
             A field is missing, unknown or of the wrong type; the message has its place.
         """
         file = Path(file)
-        with located(file), told(file):
+        with told(file):
             found = convert(toml.load(file), cls, file)
             found.require(robots)
             return found

@@ -22,7 +22,7 @@ from pydantic import Field
 from planner import CostToGo, Table
 
 from ...declare.declared import Count, Number, Text, Whole, declared
-from ...declare.tables import fault, located
+from ...declare.tables import fault
 from ...people.decision import Floats
 from ...people.user_code import UserCodeError
 from ...person.settings import Setting
@@ -402,9 +402,8 @@ def _own_code(study: UserStudy, number: int, policy: str | TeamPolicy | None = N
         yield
     except UserCodeError as error:
         of_policy = policy is None or (isinstance(policy, UserPolicy) and str(error).startswith(f"{policy.file}:"))
-        with located(study.file):
-            place = f"conditions[{number}]{'.policy' if of_policy else ''}"
-            raise fault(study.file, place, str(error)) from None
+        place = f"conditions[{number}]{'.policy' if of_policy else ''}"
+        raise fault(study.file, place, str(error)) from None
 
 
 def _known(number: float) -> float | None:

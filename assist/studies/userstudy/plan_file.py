@@ -20,7 +20,7 @@ from planner.system.errors import expected as meant
 
 from ...declare.catalogue import FIRST, Catalogue, catalogue
 from ...declare.declared import AnyTable, Expected, Text, Texts, Truth, Whole, declared, names_of, shown
-from ...declare.tables import convert, fault, load, located, replaced
+from ...declare.tables import convert, fault, load, replaced
 from ...people.ranges import Population
 from ...people.real_people import OF_ADVICE_TAKERS, advice_takers
 from ...person.settings import Setting
@@ -91,8 +91,7 @@ def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
         The file is invalid; the message names the line, the place and the expected value.
     """
     file = Path(file)
-    with located(file):
-        return _study(file, convert(load(file), FileTable, file), carried_out)
+    return _study(file, convert(load(file), FileTable, file), carried_out)
 
 
 def first_difference(before: str, after: str) -> dict[str, Any]:

@@ -37,7 +37,7 @@ from assist.declare.declared import (
     sentences,
 )
 from assist.declare.options import value_of
-from assist.declare.tables import convert, load, located, replaced
+from assist.declare.tables import convert, load, replaced
 from assist.person import OfRobots, Robot, Setting
 from planner.system.errors import InputFileError
 
@@ -105,7 +105,7 @@ def test_a_fault_is_one_sentence(wrong: dict[str, Any], message: str) -> None:
 def test_a_fault_in_a_file_has_its_line(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "cart.toml"
     file.write_text(f"name = 'c'\n{text}\n")
-    with pytest.raises(InputFileError) as caught, located(file):
+    with pytest.raises(InputFileError) as caught:
         convert(load(file), Cart, file)
     assert str(caught.value) == f"{file}{message}"
 
