@@ -125,13 +125,16 @@ def _outcomes_before(
     return found
 
 
+STEPS = ("gain", "loss")
+"""Parameters that are not negative in the rules of planning tasks either."""
+
 RULES = {
     rule.name: rule
     for rule in (
         Rule("constant", {}, _unmoved),
-        Rule("paper", {"eta": 0.01}, _equation_seven, clipped=True),
-        Rule("outcome", {"gain": 0.08, "loss": 0.16}, _outcome),
-        Rule("outcome-at-disagreement", {"agreement": 0.04, "gain": 0.08, "loss": 0.16}, at_disagreement),
+        Rule("paper", {"eta": 0.01}, _equation_seven, ("eta",), clipped=True),
+        Rule("outcome", {"gain": 0.08, "loss": 0.16}, _outcome, STEPS),
+        Rule("outcome-at-disagreement", {"agreement": 0.04, "gain": 0.08, "loss": 0.16}, at_disagreement, STEPS),
         Rule(
             "reliability",
             {"weight": 20.0, "kept": 0.95},

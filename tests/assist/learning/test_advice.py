@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
@@ -26,7 +27,7 @@ from assist.learning.advice_log import COLUMNS
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
 from assist.learning.advice_rules import DEFAULT_STEPS, RULES, Rule
 from assist.learning.held_out import COMPARED, fold_of
-from assist.people.trust_rules import LEAST, Event, LogitSteps
+from assist.people.trust_rules import LEAST, EquationSeven, Event, LogitSteps
 from planner.system.errors import InputFileError
 
 CONSTANT = AdviceModel.of("E", RULES["constant"])
@@ -212,6 +213,16 @@ def test_a_fit_of_clipped_steps_is_the_best_of_local_maxima() -> None:
             others.append(-surface.loss(_local_maximum(surface, surface.point(values))))
     assert max(coarse) - min(coarse) > 1 > 2 * (max(fine) - min(fine))
     assert found.log_likelihood(log) > max(fine) - 0.01
+
+
+@pytest.mark.parametrize(("rule", "of"), [("outcome", LogitSteps), ("paper", EquationSeven)])
+def test_a_fit_to_people_who_move_the_other_way_is_a_rule_that_settings_take(rule: str, of: Callable[..., Any]) -> None:
+    log = simulated(20, 15, 2, steps=-0.8)
+    found = fit_advice(log, rule)
+    steps = {name: value for name, value in found.parameters.items() if name in RULES[rule].parameters}
+    assert of(**steps)
+    assert min(steps.values()) < 0.01  # at the limit
+    assert found.log_likelihood >= fit_advice(log, "constant").log_likelihood - 0.01
 
 
 def test_the_right_rule_predicts_people_better_whom_it_has_not_seen() -> None:
