@@ -117,9 +117,11 @@ def _links(figure: Figure, axes: dict[int, Axes], trace: Trace, links: Sequence[
 
 
 def _about(axis: Axes, episode: Episode, place: int, rows: Trace, alone: Trace) -> None:
-    """Write the person's parameters and number of actions, with the robot and without it, next to a panel."""
+    """Write the person's goal, if it is one of several, parameters and number of actions next to a panel."""
     beta, theta, sigma = (values[place] for values in (episode.beta, episode.theta, episode.sigma))
+    goal = rows[0].get("goal")
     lines = [
+        *([] if goal is None else [(f"goal {_short(goal, 25)}", "#555555")]),
         (f"expertise β = {beta:.2f}", "#555555"),
         (f"initial influence θ = {theta:.2f}", "#555555"),
         (f"misconception σ = {sigma:.2f}", "#555555"),

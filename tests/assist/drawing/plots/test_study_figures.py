@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import thinned
+from conftest import ROOT, thinned
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
@@ -18,12 +18,13 @@ from assist.drawing.plots import study as study_figures
 from assist.drawing.plots import userstudy as userstudy_figures
 from assist.drawing.plots.study import COMPARISONS
 from assist.drawing.plots.style import LOOKS, PolicyLook, looks, save_for_pages
-from assist.people import Choices, Neighbours, Population
+from assist.people import Choices, Goals, Neighbours, Population
 from assist.person.settings import Setting
 from assist.team import AttentionSwitching, NoAssistance, Pool, beliefs_of_episode
 from assist.team.illustration import sights
 from assist.team.simulate import simulate
 from assist.team.trace import Trace
+from planner import load, sweep_goals
 
 POLICIES = ("none", "reactive", "attention", "our-own")
 INSTANCES = ("paper", "paper-fixed")
@@ -415,6 +416,18 @@ def test_an_episodes_picture_counts_what_the_robot_executes(tiny_choices: Choice
     assert counts in " ".join(figure.get_suptitle().split())
     said = [next(text.get_text() for text in axis.texts if "after" in text.get_text()) for axis in figure.axes]
     assert said == [f"finished after {count} action{'s' * (count != 1)}" for count in episode.actions]
+
+
+def test_an_episodes_picture_has_each_persons_goal_if_there_are_several() -> None:
+    tables = sweep_goals([load(ROOT / f"docs/examples/kits/{name}.pddl") for name in ("travel", "mend")])
+    goals = Goals(dict(zip(("travel", "a mend with a name that is long"), tables, strict=True)))
+    pool, trace = Pool.sample(goals, 3, seed=2), Trace()
+    [episode] = simulate(pool, "none", humans=3, episodes=[0], seed=7, trace=trace)
+    pursued = [next(row["goal"] for row in trace if row["place"] == k) for k in range(3)]
+    assert len(set(pursued)) == 2
+    axes = episode_figure(episode, trace).axes
+    said = [[text.get_text() for text in axis.texts if text.get_text().startswith("goal")] for axis in axes]
+    assert said == [["goal travel" if goal == "travel" else "goal a mend with a name that …"] for goal in pursued]
 
 
 def test_lines_between_stations_say_who_saw_a_suggestion(tiny_choices: Choices) -> None:
