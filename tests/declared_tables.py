@@ -1,7 +1,7 @@
 """The tables of declared classes in the pages: `python tests/declared_tables.py` writes them.
 
 A table stands between `<!-- declared MODULE CLASS -->` and `<!-- end -->`; for the rules, `CLASS` is `RULES` or
-`SEEN_RULES`.
+`SEEN_RULES`. Of a view that has a person's view, the table has what it has beside that.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from assist.declare.declared import (
 from assist.declare.options import toml
 from assist.live.event_base import Event
 from assist.live.events import kinds
+from assist.live.views import PersonView
 from assist.people.trust_rules import RULES, described, fields_of
 from planner.system.results import markdown_table
 
@@ -48,7 +49,9 @@ def table(kind: Any) -> str:
     if isinstance(kind, dict):
         return rule_table(kind)
     if issubclass(kind, View):
-        return markdown_table(("field", "meaning"), [(f"`{name}`", text) for name, text in sentences(kind).items()])
+        before = sentences(PersonView) if kind is not PersonView and issubclass(kind, PersonView) else {}
+        rows = [(f"`{name}`", text) for name, text in sentences(kind).items() if name not in before]
+        return markdown_table(("field", "meaning"), rows)
     return event_table(kind) if issubclass(kind, Event) else field_table(kind)
 
 

@@ -92,17 +92,29 @@ class PersonView(View):
 
 @declared(kw_only=True)
 class MemberView(PersonView):
-    """The operator's view of a person: interval and mean of beta and theta, and the whole belief.
+    """The operator's view of a person: what the robots believe of them, beside what the person sees."""
 
-    `goals` has the probability of each goal, if the person pursues one of several.
-    """
-
-    history: Rows
-    beta: Interval
-    theta: Interval
-    grid: Annotated[dict[str, list[float]], SkipValidation()]
-    belief: Rows
-    goals: Annotated[dict[str, AnyNumber], Seldom()] = field(default_factory=dict)
+    history: Annotated[
+        Rows,
+        Field(description="Time and cost-to-go after each event of the person in this task; null in a dead end."),
+    ]
+    beta: Annotated[
+        Interval, Field(description="Expertise: low end, mean and high end of what contains 90 % of the belief.")
+    ]
+    theta: Annotated[Interval, Field(description="Influence of the robot, in the same way.")]
+    grid: Annotated[
+        dict[str, list[float]],
+        SkipValidation(),
+        Field(description="The values of `beta` and of `theta` that the belief is about."),
+    ]
+    belief: Annotated[
+        Rows, Field(description="Probability of each pair of them: a row for each beta, a column for each theta.")
+    ]
+    goals: Annotated[
+        dict[str, AnyNumber],
+        Seldom(),
+        Field(description="Probability of each goal, if the person pursues one of several."),
+    ] = field(default_factory=dict)
     sees: Annotated[
         dict[str, AnyNumber], Seldom(), Line(operator="Sees: {value}"),
         Field(description="Whom the person sees being helped, with the weight of each, if that moves theta."),
@@ -111,14 +123,18 @@ class MemberView(PersonView):
 
 @declared(kw_only=True)
 class RobotView(View):
-    """Where the robot should be and what it suggests there. `location` is where it is, or where it is going."""
+    """Where the robot should be and what it suggests there."""
 
-    person: AnyText | None = None
-    suggestion: AnyText | None = None
-    reason: Reason | None = None
-    arrived: Truth = True
-    location: AnyText | None = None
-    seq: Whole
+    person: Annotated[
+        AnyText | None, Field(description="With whom it should be; null if nothing is to be suggested.")
+    ] = None
+    suggestion: Annotated[AnyText | None, Field(description="What it suggests there, in PDDL.")] = None
+    reason: Annotated[Reason | None, Field(description="Why, in the numbers of the decision.")] = None
+    arrived: Annotated[Truth, Field(description="Whether it is there already.")] = True
+    location: Annotated[
+        AnyText | None, Field(description="With whom it is, or to whom it is going; null at its base.")
+    ] = None
+    seq: Annotated[Whole, Field(description="Number of events.")]
     questions: Annotated[
         tuple[Question, ...], Seldom(), Field(description="The open questions, in the first robot's view.")
     ] = ()

@@ -95,9 +95,9 @@ class Place(PersonView):
 class Member(MemberView):
     """A person of the team as the operator sees them."""
 
-    connected: Truth
-    simulated: Truth
-    join: AnyText
+    connected: Annotated[Truth, Field(description="Whether a page or a program follows the person's view.")]
+    simulated: Annotated[Truth, Field(description="Whether the person is simulated.")]
+    join: Annotated[AnyText, Field(description="The person's link.")]
 
 
 @declared(kw_only=True)
@@ -112,9 +112,9 @@ class Attending(EnrolledView):
 class Team(Outlook):
     """The operator's view of the team."""
 
-    time: AnyNumber
+    time: Annotated[AnyNumber, Field(description="Seconds since the session began, as in `history`.")]
     problems: Annotated[
         tuple[AnyText, ...], Field(description="What keeps events from being saved or delivered, as in `/api/health`.")
     ] = ()
-    tasks: tuple[AnyText, ...]
-    people: tuple[Member | Attending, ...]
+    tasks: Annotated[tuple[AnyText, ...], Field(description="The names of the tasks that people may have.")]
+    people: Annotated[tuple[Member | Attending, ...], Field(description="The people who are present.")]
