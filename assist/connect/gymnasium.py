@@ -10,6 +10,7 @@ Importing this module registers `kitassist/Team-v0`. Gymnasium imports the modul
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -18,9 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import task_of
-from planner.system.errors import MissingExtraError
+from planner.system.errors import MissingExtraError, nearest
 
 from ..drawing.picture import Artist
+from ..people.arguments import whole
 from ..people.choices import Choices
 from ..people.decision import Floats
 from ..people.goals import Goals
@@ -42,6 +44,9 @@ except ImportError:
     raise MissingExtraError("environments need", "gymnasium", "gym") from None
 
 ID = "kitassist/Team-v0"
+
+OPTIONS = ("episode", "team")
+"""Options with which an episode of one team begins."""
 
 Observation = dict[str, Any]
 
@@ -114,6 +119,10 @@ class _Desk:
         person, does = np.divmod(numbers - 1, self.sight.actions)
         stays = numbers == 0
         return TeamAction(np.where(stays, NOBODY, person), np.where(stays, 0, does))
+
+    def are_actions(self, numbers: NDArray[Any]) -> bool:
+        """Return whether all are numbers of actions."""
+        return numbers.dtype.kind in "iu" and bool(((numbers >= 0) & (numbers < self.actions)).all())
 
     def encode(self, action: TeamAction) -> NDArray[np.int64]:
         """Return the numbers of team actions as in the action space, shape (N,) for one robot, otherwise (N, M)."""
@@ -242,22 +251,30 @@ class TeamEnv(gymnasium.Env):
         ----------
         seed : int, optional
         options : dict, optional
-            `episode` is the number of the episode to begin, instead of the next; `team` the pool indices of its
-            people, shape (K,).
+            `episode` is the number of the episode to begin, instead of the next; `team` has its people, by name or by
+            their numbers in the pool, shape (K,). Others are ignored, with a warning if it looks like a slip.
+
+        Raises
+        ------
+        ValueError
+            An option has an unsuitable value. The next call begins the same episode as without this one.
         """
         super().reset(seed=seed)
         options = options or {}
+        _warn_of_others(options, OPTIONS)
+        episode = whole("episode", options.get("episode", 0 if seed is not None else self._episode + 1))
         if self._source.drawn(seed):
             self._desk = self._made(self._source.pool)
+        teams = self._desk.teams
+        people = np.atleast_2d(teams.pool.numbers(options["team"])) if "team" in options else None
+        if people is not None and people.shape != teams.x.shape:
+            raise ValueError(f"team of {people.size}: expected {teams.x.shape[1]} people")
         if seed is not None or self._seed is None:
             self._seed = seed if seed is not None else int(self.np_random.integers(2**63))
-            self._episode = -1
-        self._episode = int(options.get("episode", self._episode + 1))
-        teams = self._desk.teams
-        draws = self._draws = CommonRandomNumbers(self._seed, np.array([self._episode]), teams.x.shape[1])
-        drawn = draws.team(len(teams.pool.people))
+        self._episode = episode
+        draws = self._draws = CommonRandomNumbers(self._seed, np.array([episode]), teams.x.shape[1])
         teams.draw_from(draws)
-        people = np.array([options["team"]], dtype=np.int64) if "team" in options else drawn
+        people = draws.team(len(teams.pool.people)) if people is None else people
         teams.begin(np.zeros(1, dtype=np.int64), people, lambda kind: draws.draw(kind, np.zeros(1, dtype=np.int64)))
         self._seen = []
         return self._observation(), self._info(np.zeros(teams.location.shape[1:], dtype=bool))
@@ -275,11 +292,11 @@ class TeamEnv(gymnasium.Env):
         if self._draws is None:
             raise gymnasium.error.ResetNeeded("step: expected reset before it")
         teams = self._desk.teams
-        number, robots = np.asarray(action, dtype=np.int64), len(teams.fleet)
-        if number.size != robots or not ((number >= 0) & (number < self._desk.actions)).all():
+        number, robots = np.asarray(action), len(teams.fleet)
+        if number.size != robots or not self._desk.are_actions(number):
             each = f", for each of {robots} robots" * (robots > 1)
-            raise ValueError(f"action {action}: expected 0 to {self._desk.actions - 1}{each}")
-        number, before = number.reshape(1, robots), teams.row[0].copy()
+            raise ValueError(f"action {action!r}: expected a whole number from 0 to {self._desk.actions - 1}{each}")
+        number, before = number.astype(np.int64).reshape(1, robots), teams.row[0].copy()
         illegal, (heard, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number)
         if self.render_mode is not None:
             self._remember(before, heard[0], slot[0])
@@ -394,8 +411,9 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         seed : int or sequence of int, optional
             A sequence is combined into one seed, since all teams use one random generator.
         options : dict, optional
-            Ignored; there are no options.
+            There are none.
         """
+        _warn_of_others(options or {}, ())
         super().reset(
             seed=None if seed is None else seed if isinstance(seed, int) else _one_seed(seed), options=options
         )
@@ -420,14 +438,14 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         """Let every robot act, and then everybody who has not finished."""
         if self._draws is None:
             raise gymnasium.error.ResetNeeded("step: expected reset before it")
-        numbers = np.asarray(actions, dtype=np.int64)
+        numbers = np.asarray(actions)
         teams, ended = self._desk.teams, self._ended
         shape = (self.num_envs, *self._desk.axis)
-        if numbers.shape != shape or (numbers < 0).any() or (numbers >= self._desk.actions).any():
+        if numbers.shape != shape or not self._desk.are_actions(numbers):
             raise ValueError(
-                f"actions: expected numbers from 0 to {self._desk.actions - 1} in an array of shape {shape}"
+                f"actions: expected whole numbers from 0 to {self._desk.actions - 1} in an array of shape {shape}"
             )
-        each = numbers.reshape(teams.location.shape)
+        each = numbers.astype(np.int64).reshape(teams.location.shape)
         illegal, _, reward = self._desk.step(np.flatnonzero(~ended), each)
         if ended.any():
             self._begin(np.flatnonzero(ended), self._draws)
@@ -440,6 +458,17 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
     def _observed(self, illegal: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:
         seen = self._desk.observe()
         return seen, {"action_mask": seen["action_mask"].copy(), "illegal": illegal}
+
+
+def _warn_of_others(options: dict[str, Any], known: tuple[str, ...]) -> None:
+    """Warn of names that are like those of options, and are none here.
+
+    Others are ignored, as Gymnasium's environments do: checks of libraries pass some.
+    """
+    for name in options.keys() - set(known):
+        if (near := nearest(name, OPTIONS)) is not None:
+            meant = f"did you mean {near!r}?" if near in known else "expected no options for a batch of teams"
+            warnings.warn(f"options: {name!r} has no effect; {meant}", stacklevel=3)
 
 
 def _one_seed(seeds: Sequence[int | None]) -> int:

@@ -113,13 +113,13 @@ class RobotsEnv(pettingzoo.ParallelEnv):
         Raises
         ------
         ValueError
-            The action of a robot is missing or out of range.
+            The action of a robot is missing, or no whole number in the range.
         """
         if missing := [agent for agent in self.agents if agent not in actions]:
             raise ValueError(f"actions: expected one of {missing[0]}")
         if not self.agents:
             return {}, {}, {}, {}, {}
-        numbers = np.array([int(actions[agent]) for agent in self.agents])
+        numbers = np.array([actions[agent] for agent in self.agents])
         seen, reward, terminated, truncated, info = self._env.step(numbers)
         agents = self.agents
         if terminated or truncated:

@@ -25,6 +25,7 @@ from ..team.engine import Engine, StepTaken
 from ..team.goal_knowledge import known_at_first
 from ..team.people_at_work import PeopleAtWork
 from ..team.pool import Pool
+from ..team.requested import require_possible
 from ..team.robots_at_work import RobotsAtWork
 from ..team.schedule import Schedule
 from ..team.solving import MAX_ENUMERATED
@@ -127,6 +128,7 @@ class Teams:
         world: World = "people",
         filters: bool = True,
     ) -> None:
+        require_possible(pool, world, "inferred")
         pool.setting.require_all_seen("an environment")
         shape = (teams, places)
         self.pool, self._beginnings = pool, Beginnings(pool, world)

@@ -234,8 +234,52 @@ def test_what_is_not_possible_does_nothing_and_says_so(pool: Pool) -> None:
     assert (info["illegal"], said["illegal"]) == (True, False)
     assert reward == same
     assert all(np.array_equal(seen[name], other[name]) for name in seen)
-    with pytest.raises(ValueError, match="expected 0 to"):
+    with pytest.raises(ValueError, match="expected a whole number from 0 to"):
         env.step(1000)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"episode": 1.7}, "episode 1.7: expected a whole number"),
+        ({"episode": -1}, "episode -1: expected a whole number"),
+        ({"team": [0]}, "team of 1: expected 2 people"),
+        ({"team": [0, 1, 2]}, "team of 3: expected 2 people"),
+        ({"team": [-1, 0]}, "expected names of people, or their numbers"),
+        ({"team": [0.9, 1.2]}, "expected names of people, or their numbers"),
+        ({"team": [99, 0]}, "expected names of people, or their numbers"),
+    ],
+)
+def test_options_of_an_episode_that_do_not_fit_are_refused(pool: Pool, options: dict[str, Any], words: str) -> None:
+    env = TeamEnv(pool, 2)
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match=words):
+        env.reset(options=options)
+    assert env.reset()[1]["episode_number"] == 1  # none was begun
+    assert env.reset(options={"team": pool.names[1::-1]})[1]["people"].tolist() == [1, 0]
+
+
+def test_options_that_there_are_not_are_warned_of(pool: Pool) -> None:
+    with pytest.warns(UserWarning, match="'episod' has no effect; did you mean 'episode'"):
+        assert TeamEnv(pool, 2).reset(seed=1, options={"episod": 3})[1]["episode_number"] == 0
+    with pytest.warns(UserWarning, match="'episode' has no effect"):
+        TeamVectorEnv(pool, 2).reset(seed=1, options={"episode": 3})
+
+
+@pytest.mark.parametrize("action", [1.7, "1", True, None])
+def test_actions_are_whole_numbers(pool: Pool, action: Any) -> None:
+    one, many = TeamEnv(pool, 2), TeamVectorEnv(pool, 2)
+    for env, given in ((one, action), (many, [action, action])):
+        env.reset(seed=1)
+        with pytest.raises(ValueError, match=r"expected (a whole number|whole numbers) from 0"):
+            env.step(given)
+        env.step(np.zeros_like(given, dtype=np.uint8))  # of any size
+
+
+def test_environments_know_the_worlds_that_simulations_know(pool: Pool) -> None:
+    for made in (TeamEnv, TeamVectorEnv):
+        with pytest.raises(ValueError, match="world 'modle': expected 'people' or 'model'"):
+            made(pool, world="modle")
 
 
 def test_a_suggestion_is_heard(pool: Pool) -> None:
@@ -267,7 +311,9 @@ def test_a_team_is_drawn() -> None:
 def test_an_action_of_an_agent_is_one_of_its_robot(tiny_choices: Choices, actions: dict[str, int]) -> None:
     env = parallel_env(Pool.sample(tiny_choices, 2, seed=2, setting=Setting(robots=2)), 2)
     env.reset(seed=1)
-    with pytest.raises(ValueError, match=r"expected (0 to \d+, for each of 2 robots|one of robot_0)"):
+    with pytest.raises(
+        ValueError, match=r"expected (a whole number from 0 to \d+, for each of 2 robots|one of robot_0)"
+    ):
         env.step(actions)
 
 
@@ -316,7 +362,7 @@ def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None
         seen, *_, info = many.step(numbers)
         collided |= bool((info["illegal"] & allowed).any())
     assert collided
-    with pytest.raises(ValueError, match=r"expected 0 to \d+, for each of 2 robots"):
+    with pytest.raises(ValueError, match=r"expected a whole number from 0 to \d+, for each of 2 robots"):
         env.unwrapped.step(0)
 
 
@@ -375,7 +421,7 @@ def test_of_two_robots_that_want_the_same_person_the_first_goes_there(tiny_choic
     assert seen["robot_1"]["location"].tolist() == [0, 1]
     with pytest.raises(ValueError, match="actions: expected one of robot_1"):
         env.step({"robot_0": 0})
-    with pytest.raises(ValueError, match=r"action .* expected 0 to"):
+    with pytest.raises(ValueError, match=r"action .* expected a whole number from 0 to"):
         env.step({"robot_0": 0, "robot_1": 999})
 
 
