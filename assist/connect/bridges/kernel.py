@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import count
@@ -85,6 +85,7 @@ class Bridge:
         self._kept: dict[str, Any] = {}  # by key
         self._waiting: dict[str | int, Output] = {}  # to be sent, in this order
         self._keys, self._wake = count(), asyncio.Event()
+        self._turns = defaultdict[int, asyncio.Lock](asyncio.Lock)  # of robots: they wait in the order of their coming
         if transport.drives:
             self._errands = Errands(transport, self.put, self._arrived, self._tasks.start, retry)
 
@@ -375,9 +376,13 @@ class Bridge:
         message.done()
 
     async def _arrived(self, robot: int, person: str | None, id: str | None) -> dict[str, Any] | None:
-        """Report where a robot is; return its next instruction, None if the report was refused."""
+        """Report where a robot is; return its next instruction, None if the report was refused.
+
+        Reports of a robot are handed over one after the other, since the last one says where it is.
+        """
         try:
-            found: dict[str, Any] = await self._session.send(Arrived(person=person, robot=robot, id=id))
+            async with self._turns[robot]:
+                found: dict[str, Any] = await self._session.send(Arrived(person=person, robot=robot, id=id))
         except ValueError as error:
             LOG.warning("%s: arrival of robot %d: %s", self.name, robot, error)
             return None

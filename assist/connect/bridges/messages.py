@@ -156,8 +156,8 @@ def texts_of(content: Mapping[str, Any]) -> Fields:
     return found
 
 
-def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
-    """Return the fields of a payload: those of a JSON object, or the named groups of a pattern in a text.
+def content_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> dict[str, Any]:
+    """Return the content of a payload: a JSON object, or the named groups of a pattern in a text.
 
     Raises
     ------
@@ -176,7 +176,12 @@ def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
         raise unusable(f"{text[:40]!r} does not match {pattern.pattern}")
     if not isinstance(content, dict):
         raise unusable(f"{text[:40]}; expected a JSON object")
-    return texts_of(content)
+    return content
+
+
+def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
+    """Return the content of a payload as texts; a `Refusal` as `content_of` has it, or for half a character."""
+    return texts_of(content_of(payload, pattern))
 
 
 def fields_of_value(text: str, pattern: re.Pattern[str] | None = None) -> Fields:
@@ -258,7 +263,7 @@ WORDS = {"true": True, "false": False, "null": None}
 
 def _read(text: Any) -> Any:
     """Return the number or table that is written in a text; None for others."""
-    if not re.fullmatch(r"-?\d{1,15}(\.\d{1,15})?([eE]-?\d{1,3})?|\{.*\}", str(text), re.DOTALL):
+    if not re.fullmatch(r"-?\d{1,15}(\.\d{1,40})?([eE][+-]?\d{1,3})?|\{.*\}", str(text), re.DOTALL):
         return None
     try:
         return json.loads(text)

@@ -10,12 +10,13 @@ from contextlib import suppress
 from typing import Any
 
 from ...declare.refusals import Refusal
-from .messages import LONGEST_ID, fields_of, unusable
+from .messages import LONGEST_ID, content_of, fields_of, texts_of, unusable
 from .mqtt_settings import ADVICE, ROBOT, MqttSettings
 from .transport import Answer, Faulty, Kept, Located, Message, Output, Reported, Resumed, Transport
 
 LOG = logging.getLogger(__name__)
 
+MISSING = object()
 WILD = re.compile(r"[/+#\0]")  # characters that a level of a topic cannot have
 
 
@@ -78,11 +79,15 @@ class Topics(Transport):
         try:
             if robot not in map(str, range(1, self._count + 1)):
                 raise unusable(f"robot {robot[:40]!r}; expected a number from 1 to {self._count}")
-            fields = fields_of(payload)
+            content = content_of(payload)
+            person, fields = content.get("person", MISSING), texts_of(content)
+            if not isinstance(person, str | None):
+                given = "no person" if person is MISSING else f"person {json.dumps(person)[:40]}"
+                raise unusable(f'{given}; expected {{"person": name}}, with null at the base')
         except Refusal as error:
             LOG.warning("MQTT: arrival of a robot: %s", error)
             return Message(done=done)
-        return Located(int(robot), fields.get("person"), fields.get("id"), done=done)
+        return Located(int(robot), person, fields.get("id"), done=done)
 
     # What goes where.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,12 @@ from test_docs import BLOCK
 from assist.cli import main
 from assist.cli.options.bridges import bridge_of
 from assist.connect.bridges.messages import Report, Topic, fields_of, filled
+from assist.connect.bridges.mqtt import Mqtt
 from assist.connect.bridges.mqtt_settings import MqttSettings, Observed
 from assist.connect.bridges.opcua_settings import OpcUaSettings, OwnServerSettings
 from assist.connect.bridges.ordering import Acknowledgements, InOrder
 from assist.connect.bridges.ros2_settings import Ros2Settings
+from assist.connect.bridges.transport import Located
 from assist.declare.refusals import Refusal
 from assist.live.event_base import OfPerson
 from assist.live.events import kinds
@@ -219,6 +222,37 @@ def test_a_message_may_have_every_value_that_an_event_has(event: str, message: s
     fields = {"person": "ann", "id": "1"} | fields_of(message.encode())
     found = Observed(topic="line/{person}", event=event).report(fields, {}).event()
     assert json.loads(found.reported) == json.loads(kinds(OfPerson)[event](person="ann", id="1", **reported).reported)
+
+
+@given(st.floats(0, 1))
+def test_every_probability_of_a_message_is_read(missed: float) -> None:
+    source = Observed(topic="line/{person}/action")
+    fields = source.fields("line/ann/action", json.dumps({"id": "1", "missed": missed}).encode())
+    assert source.report(fields, {}).event().missed == missed
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        ('{"persn": "ann"}', "no person; expected"),
+        ("{}", "no person; expected"),
+        ('{"person": ["ann"]}', 'person ["ann"]; expected {"person": name}, with null at the base'),
+        ('{"person": {"name": "ann"}}', 'person {"name": "ann"}; expected'),
+        ('{"person": 3}', "person 3; expected"),
+        ("ann", "expected a JSON object"),
+        ('{"person": "ann", "id": "r"}', Located(1, "ann", "r")),
+        ('{"person": null}', Located(1, None)),
+    ],
+)
+def test_an_arrival_says_where_the_robot_is(payload: str, words: Any, caplog: pytest.LogCaptureFixture) -> None:
+    topics = {name: {"topic": f"robot/{name}"} for name in ("robot", "arrived")}
+    settings = MqttSettings(observe={"topic": "line/{person}/action"}, **topics)
+    message = Mqtt(settings).message("robot/arrived", payload.encode(), lambda: None)
+    if isinstance(words, str):
+        assert words in caplog.text
+        assert not isinstance(message, Located)
+    else:
+        assert replace(message, done=words.done) == words
 
 
 def test_fields_of_payloads() -> None:

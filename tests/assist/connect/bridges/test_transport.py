@@ -16,6 +16,7 @@ from test_mqtt import Here
 import assist.connect
 from assist.cli.options.bridges import bridge_of
 from assist.connect.bridges import Bridge, Faulty, Located, Message, Report, Reported, Transport
+from assist.declare.refusals import Refusal
 from assist.live import Acted, Left
 from assist.web.server import listen, run
 from planner.system.errors import MissingExtraError
@@ -125,6 +126,29 @@ def test_a_number_has_one_id_also_when_it_was_recorded_or_refused(tmp_path: Path
 
     here = served(tmp_path, work)
     assert [row["action"] for row in here.session.log()] == ["(fetch box-a)", "(return box-a)"]
+
+
+def test_arrivals_of_a_robot_are_recorded_in_order_though_one_is_sent_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def work(here: Here, queues: Queues, bridge: Bridge) -> None:
+        report, failed = here.service.report, list[Any]()
+
+        async def busy_once(event: Any) -> Any:
+            if not failed:
+                failed.append(event)
+                raise Refusal("busy", n=5000)
+            return await report(event)
+
+        monkeypatch.setattr(here.service, "report", busy_once)
+        await until(lambda: bridge.connected)
+        before = here.service.outlook.seq
+        for number, person in enumerate(("ann", "bob", None, "bob", "ann")):
+            queues.inbox.put_nowait(Located(1, person, str(number)))
+        await until(lambda: here.service.outlook.seq == before + 5)
+        assert here.service.outlook.robots[0].location == "ann"
+
+    served(tmp_path, work)
 
 
 def test_advice_is_sent_again_after_a_connection_was_lost_and_removed_when_somebody_leaves(tmp_path: Path) -> None:
