@@ -89,10 +89,11 @@ def _population(given: Any) -> Any:
         return given
     from ...learning import distribution as populations
 
+    record = record_of(Path(given))  # whose faults have the file's name
     try:
-        return populations.mixture(record_of(Path(given)))
+        return populations.mixture(record)
     except ValueError as error:
-        raise ValueError(f"{given}: {str(error).removeprefix(f'{given}: ')}") from None
+        raise ValueError(f"{given}: {error}") from None
 
 
 def _real(given: Any) -> Any:

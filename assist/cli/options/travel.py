@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from planner.system.errors import InputFileError
 from planner.system.files import read_json
 
 from ...declare.declared import DeclarationError, Number, checked
@@ -28,6 +29,5 @@ def travel_of(setting: Setting, humans: int, distances: str | None, given: Given
         matrix = checked(list[list[Number]], read_json(Path(distances)))
         return setting.travel(max(humans, len(matrix) - 1) if more else humans, matrix)
     except ValueError as error:
-        said = str(error).removeprefix(f"{distances}:")
-        right = f"{distances}:{' ' * (said == str(error))}{said}"
+        right = str(error) if isinstance(error, InputFileError) else f"{distances}: {error}"
         raise click.UsageError(given.told(DeclarationError(("distances",), None, right, right))) from None

@@ -358,6 +358,12 @@ def test_a_fault_in_a_file_is_told_with_its_line(
     assert f"own.toml{said}" in " ".join(result.stderr.split())
 
 
+def test_a_population_that_is_no_json_is_named_once(tmp_path: Path) -> None:
+    (file := tmp_path / "people.json").write_text("[[1,\n")
+    said = invoke(*TEAM.split(), "--population", file).stderr
+    assert (said.count("people.json"), "people.json:2: not JSON" in said) == (1, True), said
+
+
 def test_a_bound_where_everybody_has_finished_is_zero(tmp_path: Path) -> None:
     problem = TINY.read_text()
     start = problem.index("(:goal")
