@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,15 +62,13 @@ def study_prepare(
         record = None if check or data is None else register(study, data)  # before simulations, which take long
         try:
             forecast = _forecast(study)
+            remarks = [*forecast.remarks(), *_participants(study, forecast, difference)]
         except BaseException:
             if record is not None and data is not None:
                 unregister(data)
             raise
-        for text in forecast.remarks():
+        for text in remarks:
             note(text)
-        if difference is not None:
-            for condition, needed in forecast.participants(difference):
-                note(f"{condition} minus {study.reference}: {difference:g} actions per task take {needed} participants")
         if record is None:
             shown = [plain(one) for one in forecast.sensitivity()]
             counts = {"places": study.participants, "comparisons": study.comparisons}
@@ -105,6 +104,17 @@ def _forecast(study: UserStudy) -> Forecast:
     with stages() as show:
         show("simulating participants", 0, None)
         return Forecast.of(study, tasks)
+
+
+def _participants(study: UserStudy, forecast: Forecast, difference: float | None) -> Iterator[str]:
+    """Yield how many participants show a difference in actions per task, for each condition."""
+    for condition, needed in forecast.participants(difference) if difference is not None else ():
+        compared = f"{condition} minus {study.reference}"
+        if needed is None:
+            reason = "tasks on demand are not simulated, and of others too few people finish one"
+            yield f"{compared}: not known how many participants show {difference:g} actions per task; {reason}"
+        else:
+            yield f"{compared}: {difference:g} actions per task take {needed} participants"
 
 
 def _ids(file: Path, longest: int = 100) -> list[str]:

@@ -134,6 +134,7 @@ def label(mapping: Mapping[str, Any]) -> str:
     def said(value: Any) -> str:
         if isinstance(value, Mapping):
             return f"({label(value)})"
-        return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+        short = f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else None
+        return str(value) if short is None or float(short) != value else short
 
     return ", ".join(f"{key} {said(value)}" for key, value in mapping.items())

@@ -135,6 +135,8 @@ class Reader:
         instances = self._instances()
         people = {name: population(self.file, f"populations.{name}", own) for name, own in table.populations.items()}
         people = people or {"everybody": Population()}
+        if OWN in people:
+            raise fault(self.file, f"populations.{OWN}", "means the true population in `priors`; expected another name")
         policies = self._policies("policies", table.policies)
         setting = replaced(Setting(), table.setting, self.file, "setting")
         names = tuple(label for label, _ in instances)
@@ -170,7 +172,9 @@ class Reader:
             raise fault(self.file, f"{place}.humans", message)
         settings = {}
         for number, part in enumerate(own.settings or [{}], start=1):
-            settings[label(part)] = replaced(setting, part, self.file, f"{place}.settings[{number}]")
+            if (name := label(part)) in settings:
+                raise fault(self.file, f"{place}.settings[{number}]", "is there twice; expected different settings")
+            settings[name] = replaced(setting, part, self.file, f"{place}.settings[{number}]")
         return Condition(
             name=own.name, populations=among(self.file, f"{place}.populations", own.populations or people[:1], people),
             instances=among(self.file, f"{place}.instances", own.instances or instances, instances),
@@ -196,8 +200,8 @@ class Reader:
                 names.append(name)
                 continue
             function = own[1]
-            if function in POLICIES:
-                message = f"'{function}' is a policy of the package; expected another name"
+            if (shipped := function.replace("_", "-")) in POLICIES:
+                message = f"'{shipped}' is a policy of the package; expected another name"
                 raise fault(self.file, place, message)
             if self.own.setdefault(function, own) != own:
                 message = f"two policies are called '{function}'; expected different names"

@@ -37,8 +37,6 @@ ENDS = ("finished_percent", "cut_off")
 # change none of `MEASURES`. Every other field counts, new ones included.
 UNUSED_BY_REACTIVE = ("gamma", "c_suggest", "c_move", "c_execute", "lapse", "believed_trust")
 
-SEED = 95  # of the bootstrap; fixed, so that a study always has the same intervals
-
 
 class Found:
     """The results of a study, by pool.
@@ -174,12 +172,13 @@ class Found:
             present = set(pools["policy"])
             sizes = sorted(own["humans"].unique()) if self.main.items() <= arm.items() else []
             for humans in (None, *map(int, sizes)):
+                those = pools if humans is None else pools[pools["humans"] == humans]
                 for policy in dict.fromkeys(own["policy"]):
                     for against in [one for one in self.study.compared_with(policy) if one in present]:
                         named = {"humans": humans, "policy": policy, "against": against}
-                        cut_off = max(float(ends.mean()) for ends in _paired(pools, humans, "cut_off", policy, against))
+                        cut_off = max(float(ends.mean()) for ends in paired(those, "cut_off", policy, against))
                         for measure in self.compared:
-                            ends = _paired(pools, humans, measure, policy, against)
+                            ends = paired(those, measure, policy, against)
                             for record in _compared(*ends):
                                 record |= {"cut_off_percent": 100 * cut_off, "pools": len(ends[0])}
                                 found.append({**arm, **named, "measure": measure, **record})
@@ -203,10 +202,11 @@ class Found:
         focus = self.study.focus
         for arm, own in self.arms(condition=self.main["condition"]):
             sizes = sorted(own["humans"].unique())
+            extremes = [own[own["humans"] == size] for size in (sizes[0], sizes[-1])]
             for against in [name for name in self.study.baselines if name in set(own["policy"]) and name != focus]:
                 for measure in self.compared:
-                    ends = [_paired(own, size, measure, focus, against) for size in (sizes[0], sizes[-1])]
-                    estimate = statistics.change(ends[0], ends[1], np.random.default_rng(SEED))
+                    first, last = (paired(part, measure, focus, against) for part in extremes)
+                    estimate = statistics.change(first, last)
                     if math.isfinite(estimate.value) and len(sizes) > 1:
                         found.append({
                             **arm, "policy": focus, "against": against, "measure": measure,
@@ -227,7 +227,7 @@ class Found:
                         for side in (contrast.of, contrast.to)
                     ]
                     above, below = sides[0].align(sides[1], join="inner")
-                    estimate = statistics.quotient(above, below, np.random.default_rng(SEED))
+                    estimate = statistics.quotient(above, below)
                     if above.sum() > 0:  # otherwise the ratio is undefined
                         found.append({**family, "policy": policy, "contrast": contrast.name, **estimate.record()})
         return found
@@ -301,21 +301,11 @@ def paired(pools: pd.DataFrame, measure: str, policy: str, against: str) -> tupl
 def saving(pools: pd.DataFrame, measure: str, policy: str, against: str) -> IntervalEstimate:
     """Return the saving of a policy against another in percent, over all given pools."""
     mine, other = paired(pools, measure, policy, against)
-    return statistics.saving(mine, other, np.random.default_rng(SEED))
-
-
-def _paired(pools: pd.DataFrame, humans: int | None, measure: str, policy: str, against: str) -> tuple[Any, Any]:
-    """Return what `paired` does for teams of one size; None: of all sizes.
-
-    Without assistance the team does not matter, so that all sizes give the more precise baseline.
-    """
-    own = pools if humans is None else pools[pools["humans"] == humans]
-    mine, other = paired(own, measure, policy, against)
-    return mine, paired(pools, measure, against, against)[0] if against == "none" else other
+    return statistics.saving(mine, other)
 
 
 def _compared(mine: Any, other: Any) -> Iterator[dict[str, Any]]:
-    estimate = statistics.saving(mine, other, np.random.default_rng(SEED))
+    estimate = statistics.saving(mine, other)
     if math.isfinite(estimate.value):  # undefined if the baseline is 0
         effect, better = finite(statistics.effect(other - mine)), float((mine < other).mean())
         yield {**estimate.record(), "effect": effect, "pools_better": better}

@@ -218,15 +218,16 @@ class Forecast:
             actions_low, actions_high = (_known(g * end) for end in found.spread_interval)
             yield Sensitivity(
                 condition=one, against=study.reference, units=units or None, hedges_g=_known(g),
-                actions=_known(g * found.spread), actions_low=actions_low, actions_high=actions_high,
+                actions=_known(g * found.spread if found.spread else math.nan),
+                actions_low=actions_low if found.spread else None, actions_high=actions_high if found.spread else None,
                 expected=_known(found.expected), expected_low=_known(low), expected_high=_known(high),
                 needed=needed.value, needed_low=needed.low, needed_high=needed.high, simulated=found.units,
             )  # fmt: skip
 
-    def participants(self, difference: float) -> Iterator[tuple[str, Needed]]:
+    def participants(self, difference: float) -> Iterator[tuple[str, Needed | None]]:
         """Yield how many participants show a difference from the reference in actions per task, for each condition.
 
-        Where no task can be simulated, these are more than `MOST`.
+        It is None where nothing is known: no task can be simulated, or hardly anybody finishes.
 
         Parameters
         ----------
@@ -234,8 +235,8 @@ class Forecast:
         """
         for one in self._compared:
             found = self._difference(one)
-            low, high = found.spread_interval
-            yield one, self._needed(one, difference / found.spread, (difference / high, difference / low))
+            size, *ends = (_standardised(difference, spread) for spread in (found.spread, *found.spread_interval))
+            yield one, self._needed(one, size, (ends[1], ends[0])) if found.units > 1 else None
 
     @property
     def _compared(self) -> list[str]:
@@ -311,7 +312,7 @@ class _Difference:
         squares = off**2 if paired else ((own - own.mean()) ** 2 + (other - other.mean()) ** 2) / 2
         variance = float(squares.sum()) / (n - 1)
         if variance == 0:
-            return cls(n, expected, 0.0, (0.0, 0.0, math.nan))
+            return cls(n, expected, 0.0, (0.0, 0.0, 0.0))
         spread = math.sqrt(variance)
         of_spread = (squares - squares.mean()) / (2 * variance)
         each = (off, of_spread, off / spread - expected / spread * of_spread)
@@ -321,7 +322,7 @@ class _Difference:
     @property
     def size(self) -> float:
         """The standardised difference."""
-        return self.expected / self.spread if self.spread else math.copysign(math.inf, self.expected)
+        return _standardised(self.expected, self.spread)
 
     @property
     def expected_interval(self) -> tuple[float, float]:
@@ -404,6 +405,11 @@ def _own_code(study: UserStudy, number: int, policy: str | TeamPolicy | None = N
         of_policy = policy is None or (isinstance(policy, UserPolicy) and str(error).startswith(f"{policy.file}:"))
         place = f"conditions[{number}]{'.policy' if of_policy else ''}"
         raise fault(study.file, place, str(error)) from None
+
+
+def _standardised(difference: float, spread: float) -> float:
+    """Return a difference in standard deviations."""
+    return difference / spread if spread else math.copysign(math.inf, difference)
 
 
 def _known(number: float) -> float | None:

@@ -118,6 +118,11 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
         ),
         (
             'policies = ["attention"]',
+            'policies = ["own.py:attention_never"]',
+            "'attention-never' is a policy of the package; expected another",
+        ),
+        (
+            'policies = ["attention"]',
             'policies = ["own.py:mine", "./other/../own.py:mine"]',
             "two policies are called 'mine'; expected different names",
         ),
@@ -191,3 +196,16 @@ def test_who_sees_whom_is_a_factor_of_the_shipped_study() -> None:
         "rule": "outcome", "eta_seen": 0.02, "utility_scale": 1.0
     }  # fmt: skip
     assert study.fingerprint() == read("neighbours").fingerprint() != read("trust").fingerprint()
+
+
+def test_settings_of_a_condition_are_different_and_have_labels_that_are(tmp_path: Path) -> None:
+    condition = '[[conditions]]\nname = "others"\nsettings = [{{ c_suggest = 0.1234567 }}, {{ c_suggest = {} }}]\n'
+    file = write(tmp_path, TINY + condition.format(0.1234568))
+    labels = [name for name, _ in read(file).condition("others").settings]
+    assert labels == ["c_suggest 0.1234567", "c_suggest 0.1234568"]
+    file = write(tmp_path, TINY + condition.format(0.1234567))
+    with pytest.raises(InputFileError, match=r"settings\[2\]: is there twice; expected different settings"):
+        read(file)
+    file = write(tmp_path, TINY.replace("populations.novices", "populations.own"))
+    with pytest.raises(InputFileError, match=r"populations.own: means the true population in `priors`"):
+        read(file)

@@ -116,6 +116,18 @@ def test_a_condition_without_baselines_borrows_them(small_study: tuple[Study, Pa
     assert row["pools"] == 2
 
 
+def test_a_policy_that_never_acts_saves_nothing_in_teams_of_any_size(tmp_path: Path) -> None:
+    """Savings are those of the same teams, also against no assistance."""
+    dear = TINY.split("[[conditions]]")[0].replace("c_suggest = 0.2", "c_suggest = 900.0")
+    summary = report_of(tmp_path, dear, 3).summary
+    rows = [row for kind in ("comparisons", "decline") for row in summary[kind]]
+    found = {
+        (row["mean"], row["low"], row["high"])
+        for row in rows if (row["policy"], row["against"], row["measure"]) == ("attention", "none", "actions")
+    }  # fmt: skip
+    assert found == {(0.0, 0.0, 0.0)}
+
+
 def test_a_baseline_of_another_setting_is_not_borrowed(tmp_path: Path) -> None:
     """Two robots intervene more often than one, so that the reactive policy of one robot is no baseline for them."""
     head, first = TINY.split("[[conditions]]")[:2]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from userstudies import PLAN, written
 
+from assist.cli.study_prepare import _participants
 from assist.studies.repeated_measures import within_participants
 from assist.studies.statistics import between_groups
 from assist.studies.userstudy import forecast as forecasts
@@ -162,3 +163,18 @@ def test_four_of_five_studies_show_what_was_forecast(tiny: Table, tmp_path: Path
     # No less than .8, up to three standard errors and .01. Numbers of actions are skewed, so that few studies have
     # those who take hundreds: small studies show the difference more often than with normal numbers, in .87 to .89.
     assert 0.8 - 0.041 <= np.mean(np.array(p) < 0.05) <= 0.91
+
+
+def test_people_who_do_not_vary_show_any_difference_and_nobody_none(found: Forecast) -> None:
+    same = replace(found, actions={name: np.full(40, 3.0 + (name == "none")) for name in found.actions})
+    (shown,) = same.sensitivity()
+    assert (shown.actions, shown.expected, shown.needed) == (None, -1.0, 4)
+    assert "0.0 (0.0 to 0.0)" not in str(shown)
+    assert [str(needed) for _, needed in same.participants(2.0)] == ["4"]
+    assert [needed for _, needed in replace(found, actions={}).participants(2.0)] == [None]
+    unknown = [*_participants(found.study, replace(found, actions={}), 2.0)]
+    assert unknown == [
+        "attention minus none: not known how many participants show 2 actions per task; "
+        "tasks on demand are not simulated, and of others too few people finish one"
+    ]
+    assert [*_participants(found.study, same, 2.0)] == ["attention minus none: 2 actions per task take 4 participants"]
