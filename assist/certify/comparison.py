@@ -65,9 +65,11 @@ class Comparison:
         problems = [pool.policies[model].problem for model in pool.model[list(team)]]
         upper = math.inf
         if first is not None and all(problem.whole for problem in problems):
-            upper = free_attention_bound(pool, team, travel)
+            upper = free_attention_bound(pool, team, travel, math.inf if limit is None else start + 0.2 * limit)
             _simulate(runs, min(episodes, FIRST_EPISODES), None, progress)
             first(_certificates(runs, upper, math.nan))
+        if limit is not None:
+            limit = max(1e-3, start + limit - time.perf_counter())
         bound = upper_bound(pool, time_limit=limit, seed=seed_number, progress=progress, **options).at_most(upper)
         return cls(bound, runs, episodes, None if time_limit is None else start + time_limit)
 

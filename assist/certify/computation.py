@@ -221,11 +221,12 @@ class Computation:
         def one(number: int) -> None:
             group = groups[number]
             visits = group.at(price)
-            best, memory = group.best(visits), self.memory_limit_mb
+            still = math.ceil((len(groups) - number) / self.workers)  # rounds that remain, including this one
+            ends = time.perf_counter() + (until - time.perf_counter()) / still
+            best, memory = group.best(visits, ends), self.memory_limit_mb
             options = None if visited is None else SolverOptions(
                 depth=depth_within(visits.pomdp, memory), further_beliefs=visited(group.places, visits)
             )  # fmt: skip
-            still = math.ceil((len(groups) - number) / self.workers)  # rounds that remain, including this one
             share = (until - time.perf_counter()) / still
             parts[number] = visits, group.bound(best, lambda best: solve(
                 visits.pomdp, gap=self.gap, time_limit=None if until == math.inf else max(0.0, share),

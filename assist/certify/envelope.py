@@ -32,6 +32,8 @@ people who never err, which no theta exceeds (`truncated_bound.bounded` with `ou
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -45,6 +47,7 @@ from ..people.neighbours import Range
 from ..people.theta_reach import ThetaReach, range_of_gains
 from ..person.attention_subproblem import AttentionSubproblem, backwards
 from ..person.each_goal import Outer
+from ..person.frontier_bounds import never_erring
 from ..person.mdp_values import initial_upper_bounds, value_iteration
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_rows import ProblemRows
@@ -69,13 +72,13 @@ class OwnTheta:
         """Return what becomes of the relaxation on an outer truncated task, which perhaps is to be kept."""
         return "kept" if kept else "frontier"
 
-    def tail(self, free: AttentionSubproblem) -> Floats:
+    def tail(self, free: AttentionSubproblem, until: float) -> Floats:  # noqa: ARG002
         """Return the values with free attention, shape (P * n, H, T), of a subproblem without prices."""
         value = initial_upper_bounds(free.pomdp)
         value_iteration(free.pomdp, value, tolerance=TOLERANCE)
         return value
 
-    def solved(self, visits: AttentionSubproblem, tail: Floats) -> QMDP:
+    def solved(self, visits: AttentionSubproblem, tail: Floats, until: float) -> QMDP:  # noqa: ARG002
         """Return the values of a subproblem with observed type and theta, with their policy."""
         return backwards(visits, tail)
 
@@ -114,30 +117,31 @@ class Envelope(OwnTheta):
         """Return that it is not computed, as theta moves by a person's own suggestions only in it."""
         return "none"
 
-    def tail(self, free: AttentionSubproblem) -> Floats:
-        """Return the values with free attention, as in `OwnTheta`."""
-        return self.solved(free).value_mdp
+    def tail(self, free: AttentionSubproblem, until: float) -> Floats:
+        """Return the values with free attention, as in `OwnTheta`, after the sweeps that begin by a time."""
+        return self.solved(free, initial_upper_bounds(free.pomdp), until).value_mdp
 
     def bound(self, best: QMDP, search: Callable[[QMDP], Solution]) -> Solution | Lifted:  # noqa: ARG002
         """Return these values at the beginning as the bound, moved up by what rounding may take."""
         value = mean_at_most(best.value_mdp[best.pomdp.model.choices.initial], best.value_mdp, best.pomdp)
-        return Lifted(value, value, value)
+        return Lifted(value, -math.inf, value)
 
-    def solved(self, visits: AttentionSubproblem, tail: Floats | None = None) -> QMDP:
+    def solved(self, visits: AttentionSubproblem, tail: Floats, until: float) -> QMDP:
         """Return the values of a subproblem in which theta may be moved within the envelope, with their policy.
 
-        They are upper bounds after any number of sweeps.
+        They are upper bounds after any number of sweeps, at first those of people who never err.
 
         Parameters
         ----------
         visits : AttentionSubproblem
-        tail : float array, shape (P * n, H, T), optional
-            Values with free attention, by position and task state.
+        tail : float array, shape (P * n, H, T)
+            Upper bounds on the values with free attention, by position and task state.
+        until : float
+            Time on the clock of `time.perf_counter()` after which no sweep begins, but for the first of each step.
         """
         pomdp, layout = visits.pomdp, visits.layout
-        value, last = initial_upper_bounds(pomdp), layout.step == len(visits.price)
-        if tail is not None:
-            value[last] = np.minimum(value[last], tail[layout.position[last] * layout.states + layout.x[last]])
+        value, last = _first_bounds(visits), layout.step == len(visits.price)
+        value[last] = np.minimum(value[last], tail[layout.position[last] * layout.states + layout.x[last]])
         goes_on = ~pomdp.final[pomdp.hidden.goal_of].T
         for step in range(len(visits.price), -1, -1):
             states = np.flatnonzero((layout.step == step) & goes_on.any(axis=1))
@@ -146,7 +150,7 @@ class Envelope(OwnTheta):
                 new = np.where(within, self._q(visits, value, states)[states].max(axis=1), own)
                 change, own = float((own - new).max(initial=0.0)), np.minimum(own, new)
                 value[states] = own
-                if change <= TOLERANCE:
+                if change <= TOLERANCE or time.perf_counter() >= until:
                     break
         return QMDP(pomdp, value.copy(), self._q(visits, value, np.arange(len(value))))
 
@@ -155,6 +159,16 @@ class Envelope(OwnTheta):
         robots, attended = len(self.reach.low) - 1, visits.attended()[:, :, None, None]
         each = [look_ahead(visits.pomdp, self.reach.lifted(value, robots - less), states).q_mdp for less in (1, 0)]
         return np.where(attended, *each)
+
+
+def _first_bounds(visits: AttentionSubproblem) -> Floats:
+    """Return upper bounds from which sweeps start, shape (m, H, T): of people who never err, if no robot executes."""
+    pomdp, value = visits.pomdp, initial_upper_bounds(visits.pomdp)
+    choices, (_, executes) = pomdp.model.choices, visits.acted()
+    if not executes.any() and choices.applicable.any():
+        best = never_erring(choices.goals.h, choices.costs[choices.applicable], pomdp.gamma)
+        np.minimum(value, best[pomdp.hidden.goal_of].T[:, :, None], out=value)
+    return value
 
 
 def mean_at_most(value: Floats, every: Floats, pomdp: AssistPOMDP) -> float:
@@ -182,7 +196,7 @@ def _gains(problem: ProblemRows) -> Range:
 
 
 class Lifted(NamedTuple):
-    """The bound on a subproblem with an envelope, as `computation.Relaxation` reads it: a search would not lower it."""
+    """The bound on a subproblem with an envelope, as `computation.Relaxation` reads it; no lower one is known."""
 
     value_qmdp: float
     lower: float

@@ -72,9 +72,13 @@ class SubproblemGroup:
         """The expected number of these people."""
         return len(self.places) * self.share
 
-    def best(self, visits: AttentionSubproblem) -> QMDP:
-        """Solve the subproblem with observed type and theta, backwards from the steps with free attention."""
-        return self.envelope.solved(visits, self.tail)
+    def best(self, visits: AttentionSubproblem, until: float = -math.inf) -> QMDP:
+        """Solve the subproblem with observed type and theta, backwards from the steps with free attention.
+
+        With neighbours, sweeps improve the values at these steps until they converge, or until a time on the clock of
+        `time.perf_counter()`.
+        """
+        return self.envelope.solved(visits, self.tail, until)
 
     def bound(self, best: QMDP, search: Callable[[QMDP], Solution]) -> PersonBound:
         """Return bounds with type and theta out of sight, from the values with both observed and, perhaps, a search."""
@@ -152,8 +156,8 @@ def groups_of(
 ) -> list[SubproblemGroup]:
     """Return the groups of a team by their subproblem, with prices of 0 on `window` steps.
 
-    Truncated tasks are smaller if the time until `until`, on the clock of `time.perf_counter()`, is short. With
-    `with_outer` they include the outer relaxation.
+    Truncated tasks are smaller, and values of people who see neighbours less tight, if the time until `until`, on the
+    clock of `time.perf_counter()`, is short. With `with_outer`, truncated tasks include the outer relaxation.
 
     Raises
     ------
@@ -177,11 +181,13 @@ def groups_of(
         )  # fmt: skip
         given += [(one, chance, places, entry, entry_steps, envelope) for chance, one in each_goal]
     _require_room_for_all([one[0] for one in given], [one[4] for one in given], window, memory_limit_mb)
-    groups = []
+    groups = list[SubproblemGroup]()
     for one, chance, places, entry, entry_steps, envelope in given:
         alone = one.problem.unattended() if pool.setting.fleet.relays(entry_steps) else one.problem
         free = AttentionSubproblem.of(alone, entry, entry_steps)
-        tail, priced = envelope.tail(free), one.outer is None
+        left = until - time.perf_counter()
+        tail = envelope.tail(free, time.perf_counter() + left / (len(given) - len(groups)))
+        priced = one.outer is None
         visits = AttentionSubproblem.of(alone, entry, entry_steps, np.zeros(window)) if priced else free
         _require_room_for(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
         groups.append(SubproblemGroup(pool, visits, tail, places, one, chance, envelope))

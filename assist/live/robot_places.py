@@ -13,6 +13,11 @@ from ..team.assignment import placed
 from ..team.state import BASE
 
 
+def robot_numbers(count: int) -> str:
+    """Return which numbers robots have, as messages say what they expect."""
+    return f"a number from 1 to {count}" if count > 1 else "1, as there is one robot"
+
+
 class RobotPlaces:
     """The places of a team's robots, and the travel between them.
 
@@ -49,7 +54,7 @@ class RobotPlaces:
             There is no such robot.
         """
         if isinstance(robot, bool) or not isinstance(robot, int) or not 1 <= robot <= len(self.at):
-            raise AbsentError("other", why=f"robot {robot!r}: expected a number from 1 to {len(self.at)}")
+            raise AbsentError("other", why=f"robot {robot!r}: expected {robot_numbers(len(self.at))}")
         return robot - 1
 
     def grow(self, people: int) -> None:

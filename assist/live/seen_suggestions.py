@@ -13,7 +13,7 @@ import numpy as np
 from ..declare.declared import MOST
 from ..declare.refusals import Refusal
 from ..people.decision import Floats
-from ..people.neighbourhood import NOBODY_SEES
+from ..people.neighbourhood import NOBODY_SEES, Neighbourhood
 from ..people.neighbours import SeenEvent, parts_of
 from ..people.trust_rules import TrustRule
 from ..person.settings import Setting
@@ -79,7 +79,7 @@ class SeenSuggestions:
         graph = self._setting.neighbours
         if people > self._room and graph is not None:  # with room for more, as a graph of many takes time
             self._room = max(people, min(2 * people, graph.stations))
-            self._of_all = self._setting.neighbourhood(self._room).believed
+            self._of_all = Neighbourhood.of(graph, self._room).believed  # those of a pair may still come
         self._team.beliefs.neighbours = self._of_all.first(people)
 
     def require_all_seen(self) -> None:

@@ -345,13 +345,29 @@ class Neighbours:
         """The largest number of stations."""
         return sys.maxsize if self.matrix is None else len(self.matrix)
 
-    def weights(self, places: int) -> Floats:
-        """Return the weight with which each station sees each other one, shape (K, K); 0 for those that do not.
+    def require_stations(self, places: int) -> None:
+        """Raise an error if a pair names a station that is none of the places of a team.
 
         Raises
         ------
         ValueError
-            The graph has fewer stations than places, or more in its pairs.
+            It says which.
+        """
+        named = max((int(max(pair[:2])) for pair in self.pairs or ()), default=0)
+        if named > places:
+            raise ValueError(
+                f"neighbours.pairs: station {named} in a team of {places}; expected stations from 1 to {places}"
+            )
+
+    def weights(self, places: int) -> Floats:
+        """Return the weight with which each station sees each other one, shape (K, K); 0 for those that do not.
+
+        Stations beyond the places are left out.
+
+        Raises
+        ------
+        ValueError
+            The graph has fewer stations than places.
         """
         import numpy as np
 

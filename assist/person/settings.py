@@ -224,9 +224,17 @@ class Setting(OfRobots):
         return WithSeen(self.trust_rule(), seen_rule_of(self.neighbours))
 
     def neighbourhood(self, places: int) -> Neighbourhood:
-        """Return what `places` people see of each other."""
+        """Return what a team of `places` people see of each other.
+
+        Raises
+        ------
+        ValueError
+            The graph has fewer stations, or a pair names one that the team does not have.
+        """
         from ..people.neighbourhood import Neighbourhood
 
+        if self.neighbours is not None:
+            self.neighbours.require_stations(places)
         return Neighbourhood.of(self.neighbours, places)
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:

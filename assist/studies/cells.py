@@ -213,6 +213,8 @@ def check(study: Study, progress: Progress = lambda *_: None) -> None:
                     choices, frontier = _part(_task(dict(study.instances)[name]))
                     Assumptions.of(setting, None, Population()).problem(choices, frontier)
                     setting.require_questions(possible=choices.goals.distinguished)
+                    for places in condition.humans:
+                        setting.neighbourhood(places)
                 except ValueError as error:
                     place = f"conditions[{number}].settings[{which}]" if label else "setting"
                     raise fault(study.file, place, str(error)) from None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -78,12 +78,14 @@ def mean(values: ArrayLike, level: float = LEVEL) -> IntervalEstimate:
 
 
 def saving(with_it: ArrayLike, without: ArrayLike) -> IntervalEstimate:
-    """Return the saving in percent: 100 (1 - mean(with_it) / mean(without)).
+    """Return the saving in percent: 100 (1 - mean(with_it) / mean(without)), of means of at least 0.
 
     The interval is Student's t with the standard error of the jackknife over pools (Tukey, 1958). For skewed numbers,
     such as those of people in a trap, a bootstrap of pools (BCa) was tried and covered less at 10, 20 and 50 pools.
+    It ends at 100, beyond which no saving is. There is no lower limit: -100 is twice as much.
     """
-    return _of_means((with_it, without), lambda a, b: 100 * (1 - a / b))
+    found = _of_means((with_it, without), lambda a, b: 100 * (1 - a / b))
+    return replace(found, high=min(found.high, 100.0))
 
 
 def change(first: tuple[ArrayLike, ArrayLike], last: tuple[ArrayLike, ArrayLike]) -> IntervalEstimate:
@@ -92,8 +94,9 @@ def change(first: tuple[ArrayLike, ArrayLike], last: tuple[ArrayLike, ArrayLike]
 
 
 def quotient(above: ArrayLike, below: ArrayLike) -> IntervalEstimate:
-    """Return the ratio of two means, with an interval as in `saving`."""
-    return _of_means((above, below), lambda a, b: a / b)
+    """Return the ratio of two means of at least 0, with an interval as in `saving`, of numbers of at least 0."""
+    found = _of_means((above, below), lambda a, b: a / b)
+    return replace(found, low=max(found.low, 0.0))
 
 
 def _of_means(columns: Sequence[ArrayLike], function: Callable[..., Any]) -> IntervalEstimate:

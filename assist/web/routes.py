@@ -13,6 +13,7 @@ from ..declare.catalogue import languages
 from ..declare.declared import Expected, Kind, View
 from ..declare.refusals import AbsentError, Refusal
 from ..live.names import LONGEST_REASON
+from ..live.robot_places import robot_numbers
 from ..live.store import Tombstone
 from ..live.views import PersonView, RobotView
 from ..studies.userstudy.views import ParticipantView
@@ -123,7 +124,7 @@ async def instruction(_: Operator, robot: Numbered, service: Desk) -> Response:
     """Return where a robot, by its number from 1, should go and what it should suggest there."""
     robots = service.outlook.robots
     if not 1 <= robot <= len(robots):
-        raise AbsentError("other", why=f"robot {robot}: expected a number from 1 to {len(robots)}")
+        raise AbsentError("other", why=f"robot {robot}: expected {robot_numbers(len(robots))}")
     return plain(robots[robot - 1])
 
 

@@ -91,6 +91,7 @@ def team_of(team: TeamOptions, size: int, goals: Goals | None = None) -> TeamSet
         team.given.refuse(["c_execute"], "without execute")
     known = goals or costs_of(found, max_states=setting.max_states, memory_limit_mb=None)
     try:
+        chosen.neighbourhood(team.humans)
         travel = travel_of(chosen, team.humans, setting.distances, team.given)
         pool = Pool.sample(
             known, size, seed=team.seed, setting=chosen, population=setting.population, prior=setting.prior,

@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import Any
 
 from ...declare.refusals import Refusal
+from ...live.robot_places import robot_numbers
 from .messages import LONGEST_ID, content_of, fields_of, texts_of, unusable
 from .mqtt_settings import ADVICE, ROBOT, MqttSettings
 from .transport import Answer, Faulty, Kept, Located, Message, Output, Reported, Resumed, Transport
@@ -78,7 +79,7 @@ class Topics(Transport):
     def _located(self, robot: str, payload: bytes, done: Any) -> Message:
         try:
             if robot not in map(str, range(1, self._count + 1)):
-                raise unusable(f"robot {robot[:40]!r}; expected a number from 1 to {self._count}")
+                raise unusable(f"robot {robot[:40]!r}; expected {robot_numbers(self._count)}")
             content = content_of(payload)
             person, fields = content.get("person", MISSING), texts_of(content)
             if not isinstance(person, str | None):

@@ -219,6 +219,8 @@ def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Set
         raise fault(file, f"{place}.observation", "given; expected none, as participants' actions are all seen")
     if setting.c_ask is not None:
         raise fault(file, f"{place}.c_ask", "given; expected none, as participants' pages show no questions")
+    if setting.ask_error:
+        raise fault(file, f"{place}.ask_error", f"{setting.ask_error:g}; expected 0, as nothing is asked")
     if setting.execute:
         raise fault(file, f"{place}.execute", "true; expected a robot that suggests")
     if len(setting.robots) > 1:

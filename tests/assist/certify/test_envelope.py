@@ -12,6 +12,7 @@ from conftest import thinned
 from solved import by_hand
 
 from assist.certify import upper_bound
+from assist.certify.comparison import Comparison
 from assist.certify.envelope import Envelope
 from assist.people.choices import Choices
 from assist.people.goals import Goals
@@ -146,6 +147,25 @@ def test_values_are_lifted_to_the_largest_within_the_envelope(tiny: Table) -> No
         for x, h, t in np.ndindex(value.shape):
             within = fine[(fine >= reach.low[events, t] - 1e-9) & (fine <= reach.high[events, t] + 1e-9)]
             assert lifted[x, h, t] == pytest.approx(np.interp(within, theta, value[x, h]).max(), abs=1e-9)
+
+
+def test_sweeps_end_with_the_time_and_their_values_are_bounds(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of the first answer and the bound does one sweep and one look-ahead for each set of values."""
+    sweeps, backup = list[int](), Envelope._q
+
+    def counted(self: Envelope, visits: Any, value: np.ndarray, states: np.ndarray) -> np.ndarray:
+        sweeps.append(len(states))
+        return backup(self, visits, value, states)
+
+    pool = pool_of(tiny, SeenFollowed(0.2, 0.1))
+    limits = {"window": 0, "episodes": 2, "seed": 1, "progress": lambda *_: None, "first": lambda _: None}
+    whole = Comparison.of(pool, {}, time_limit=None, **limits)  # type: ignore[arg-type]
+    monkeypatch.setattr(Envelope, "_q", counted)
+    hurried = Comparison.of(pool, {}, time_limit=1e-9, **limits)  # type: ignore[arg-type]
+    assert len(sweeps) == 2 + 2 * 2
+    assert whole.bound.upper < hurried.bound.upper < 0.8 * whole.bound.upper
+    found = whole.bound.certify("attention", episodes=50)  # nothing is known of how far a search would lower it
+    assert found.slack_percent == found.gap_percent > 0
 
 
 @dataclass(frozen=True)

@@ -102,6 +102,8 @@ def test_each_robot_has_its_own_way(tiny: Table) -> None:
         assert [one.person for one in team.recommend_all()].count("ann") <= 1
     with pytest.raises(Refusal, match="robot 3: expected a number from 1 to 2"):
         desk.arrived("ann", robot=3)
+    with pytest.raises(Refusal, match="robot 7: expected 1, as there is one robot"):
+        Assistant(tiny, ["ann"]).arrived("ann", robot=7)
 
 
 def test_more_robots_than_people_leave_the_others_where_they_are(tiny: Table) -> None:

@@ -71,6 +71,16 @@ def test_changes_ratios_and_effects() -> None:
     assert statistics.saving([0.0, 0.0], [0.0, 0.0]).record() == {"mean": None, "low": None, "high": None}
 
 
+def test_an_interval_has_no_values_that_are_impossible() -> None:
+    """It is as wide as Student's t says, but nobody does less than nothing."""
+    few, much = [0.0, 0.2, 3.0], [2.0, 9.0, 4.0]
+    saving, opposite = statistics.saving(few, much), statistics.saving(much, few)
+    assert (saving.value, saving.high) == (pytest.approx(100 * (1 - 3.2 / 15)), 100)
+    assert saving.low < 0
+    assert opposite.low < opposite.value < -100  # more than twice as much
+    assert (opposite.high, statistics.quotient(few, much).low) == (100, 0)
+
+
 def test_an_interval_is_put_into_words() -> None:
     """A conclusion needs the whole interval on one side; without an interval there is none."""
 

@@ -43,6 +43,7 @@ FAULTS = [
     ('reference = "none"', 'reference = "nobody"', "reference: 'nobody'; expected one of none, attention"),
     ('policy = "attention"', 'policy = "attentive"', r"conditions\[2\].policy: 'attentive'; did you mean 'attention'"),
     ("c_move = 0.01", "c_mov = 0.01", "setting.c_mov: unknown; did you mean 'c_move'"),
+    ("c_move = 0.01", "ask_error = 0.1", "setting.ask_error: 0.1; expected 0, as nothing is asked"),
     ("c_move = 0.01", "travel_time = 1", "setting.travel_time: 1; expected 0"),
     ('form = "likert"', 'form = "likart"', r"questionnaires\[2\].form: 'likart'; did you mean 'likert'"),
     ("reversed = true", "reversd = true", r"questionnaires\[2\].items\[2\].reversd: unknown"),
