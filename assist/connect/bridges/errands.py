@@ -40,6 +40,11 @@ class _Way:
     to: str | None = None
     drive: str | None = None
 
+    def take(self, instruction: dict[str, Any] | None) -> None:
+        """Take in an instruction, unless there is a newer one: answers and the stream come by different ways."""
+        if instruction is not None and (self.instruction is None or instruction["seq"] >= self.instruction["seq"]):
+            self.instruction = instruction
+
 
 class Errands:
     """The drives of the robots of a bridge.
@@ -80,7 +85,7 @@ class Errands:
 
     def instructed(self, robot: int, errand: dict[str, Any]) -> None:
         """Send a robot to where it is to go now."""
-        self._ways[robot - 1].instruction = errand
+        self._ways[robot - 1].take(errand)
         self._go(self._ways[robot - 1])
 
     def _go(self, way: _Way) -> None:
@@ -116,7 +121,7 @@ class Errands:
         person, way.drive = way.to, None
         if message.reached:
             self._transport.counts["arrivals"] += 1
-            way.instruction = await self._arrived(way.robot, person, message.id) or way.instruction
+            way.take(await self._arrived(way.robot, person, message.id))
         else:
             name = self._transport.name
             LOG.warning("%s: robot %d did not reach %s: %s", name, way.robot, person, message.why)

@@ -30,6 +30,8 @@ LOG = logging.getLogger(__name__)
 
 ABSENT = 404  # status of a report about nobody
 REMEMBERED = 1000  # numbers of a person whose ids are known, the latest
+STRANGERS = 100
+"""Number of senders that are remembered though all their reports were about nobody in the team."""
 MOST = 100_000
 """Largest number of contents that wait to be sent, besides those that are kept: some tens of megabytes."""
 
@@ -41,6 +43,7 @@ class _Sender:
         self.order = InOrder[Reported]()
         self.queue = asyncio.Queue[Reported]()
         self.answered = 0  # the highest number of an answered report
+        self.known = False  # whether a report was recorded
         self.ids = dict[int, str]()  # of the latest numbers
         self.timer: asyncio.TimerHandle | None = None
         self.task: asyncio.Task[None] | None = None
@@ -84,6 +87,7 @@ class Bridge:
         self._seen: dict[str, int] = {}  # `seq` of the view that was sent last of each person
         self._kept: dict[str, Any] = {}  # by key
         self._waiting: dict[str | int, Output] = {}  # to be sent, in this order
+        self._under_way: dict[str | int, Output] = {}  # being sent, in this order
         self._keys, self._wake = count(), asyncio.Event()
         self._turns = defaultdict[int, asyncio.Lock](asyncio.Lock)  # of robots: they wait in the order of their coming
         if transport.drives:
@@ -175,7 +179,9 @@ class Bridge:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self._waiting = {key: output for key, output in self._waiting.items() if not output.passing}
+            unsent = self._under_way | self._waiting  # in their order; of one key, the newest
+            self._waiting = {key: output for key, output in unsent.items() if not output.passing}
+            self._under_way = {}
             if self._errands is not None:
                 self._errands.lost()
 
@@ -185,12 +191,10 @@ class Bridge:
                 self._wake.clear()
                 await self._wake.wait()
             key = next(iter(self._waiting))
-            output = self._waiting.pop(key)
-            try:
-                await self.transport.send(output.key, output.content)
-            except BaseException:
-                self._waiting = {key: output} | self._waiting  # unless there is a newer one
-                raise
+            output = self._under_way[key] = self._waiting.pop(key)
+            await self.transport.send(output.key, output.content)
+            if self._under_way.get(key) is output:  # and no newer one of this key
+                del self._under_way[key]
             self.counts["published"] += 1
 
     def put(self, outputs: Iterable[Output]) -> None:
@@ -317,8 +321,18 @@ class Bridge:
             self._answer(answer, message)
             if report.number is None:
                 message.done()
-                if getattr(refused, "status", None) == ABSENT and sender.queue.empty():
-                    self._senders.pop(person, None)  # a message about nobody costs no memory
+            if refused is None:
+                sender.known = True
+            elif getattr(refused, "status", None) == ABSENT:
+                self._forget_strangers()
+
+    def _forget_strangers(self) -> None:
+        """Forget the senders of reports about nobody, but for the latest, whose numbers go on when they join."""
+        idle = [
+            name for name, one in self._senders.items() if not one.known and one.queue.empty() and not one.order.held
+        ]
+        for name in idle[:-STRANGERS]:
+            del self._senders[name]
 
     def _answer(self, answer: Answer, message: Reported | None = None) -> None:
         self.counts[answer.status] += 1

@@ -25,6 +25,7 @@ from ...declare.refusals import Refusal
 from ...declare.tables import convert, told
 from ...live.event_base import OfPerson, fault_of
 from ...live.events import kinds
+from ...live.names import name_of
 from ...people.action_names import Words, words_of, wrong_form
 from ...people.choices import STAND_STILL
 
@@ -334,7 +335,8 @@ class Source:
         identifier = filled(self.id or "{id}", fields, {})
         if not 0 < len(identifier) <= LONGEST_ID:
             raise unusable(f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
-        person, kind = filled(getattr(self, "person", "{person}"), fields, {}), getattr(self, "event", "acted")
+        person = name_of(filled(getattr(self, "person", "{person}"), fields, {}))  # as the team has it
+        kind = getattr(self, "event", "acted")
         number, seq = None, None
         try:
             number = self._whole("number", fields, 1)

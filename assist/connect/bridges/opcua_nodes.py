@@ -57,7 +57,7 @@ class Nodes:
     def __init__(self, ua: Any, server: Any, space: int, reporting: Reporting, last: dict[str, Any]) -> None:
         self._ua, self._server, self._space, self._reporting, self._last = ua, server, space, reporting, last
         self._objects: dict[str, _Object] = {}  # of people and robots, by their path
-        self._inputs: dict[str, Callable[[str], Message]] = {}  # what written values report
+        self._inputs: dict[str, Callable[[str], Message | None]] = {}  # what written values report
 
     async def prepare(self) -> None:
         """Add the objects `People` and `Robots`."""
@@ -82,11 +82,11 @@ class Nodes:
             await self._server.delete_nodes([found.node], recursive=True)
 
     def written(self, node: str, value: Any) -> Message | None:
-        """Return what a value reports that a client has written; None if it is empty, or was there before."""
+        """Return what a value reports that a client has written; None if it says nothing, or was there before."""
         if node not in self._inputs:
             return None
-        before, self._last[node] = self._last.get(node), value
-        return None if value in (None, "", before) else self._inputs[node](str(value))
+        before, self._last[node] = self._last.get(node, ""), value
+        return None if value in (None, before) else self._inputs[node](str(value))
 
     def typed(self, value: Any) -> Any:
         """Return a value with its type in OPC UA; None becomes an empty text."""
@@ -103,7 +103,7 @@ class Nodes:
         return _Object(await parent.add_object(self._id(path), f"{self._space}:{name}"))
 
     async def _variable(
-        self, of: _Object, name: str, value: Any, reports: Callable[[str], Message] | None = None
+        self, of: _Object, name: str, value: Any, reports: Callable[[str], Message | None] | None = None
     ) -> None:
         """Add a variable; if clients may write it, with what its values report."""
         path = f"{of.node.nodeid.Identifier}/{name}"
@@ -117,8 +117,8 @@ class Nodes:
         types, person, own = self._ua.VariantType, path.removeprefix("People/"), await self._object(path)
         for name, value in (("Suggestion", ""), ("Finished", False), ("Seq", UNKNOWN), ("Answer", "")):
             await self._variable(own, name, value)
-        await self._variable(own, "Action", "", partial(self._reporting.acted, person))
-        await self._variable(own, "Begin", "", partial(self._reporting.begun, person))
+        await self._variable(own, "Action", "", _unless_empty(partial(self._reporting.acted, person)))
+        await self._variable(own, "Begin", "", _unless_empty(partial(self._reporting.begun, person)))
         await own.node.add_method(
             self._id(f"{path}/Report"), f"{self._space}:Report", partial(self._reporting.called, person),
             [types.String, types.String, types.Int64], [types.String, types.String, types.Int64],
@@ -129,5 +129,10 @@ class Nodes:
         own, robot = await self._object(path), int(path.removeprefix("Robots/"))
         for name in ("Person", "Suggestion"):
             await self._variable(own, name, "")
-        await self._variable(own, "Arrived", "", lambda person: Located(robot, person))
+        await self._variable(own, "Arrived", "", lambda person: Located(robot, person or None))
         return own
+
+
+def _unless_empty(reports: Callable[[str], Message]) -> Callable[[str], Message | None]:
+    """Return a function that reports nothing of an empty text."""
+    return lambda value: reports(value) if value else None

@@ -9,6 +9,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from ...declare.declared import Expected, Place, Text, declared
+from ...live.names import name_of
 from .messages import ActionTemplate, BridgeSettings, EventKind, Observing, Source, Template, matching
 
 PASSWORD = "KITASSIST_OPCUA_PASSWORD"
@@ -57,7 +58,7 @@ class Advice:
     """A table `advice`: a node to which suggestions are written, and whose they are."""
 
     node: Node
-    person: Text
+    person: Annotated[Text, AfterValidator(name_of)]
 
 
 @declared(kw_only=True)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sys
+import unicodedata
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from functools import partial
@@ -16,8 +18,12 @@ from test_mqtt import Here
 import assist.connect
 from assist.cli.options.bridges import bridge_of
 from assist.connect.bridges import Bridge, Faulty, Located, Message, Report, Reported, Transport
+from assist.connect.bridges.errands import Errands
+from assist.connect.bridges.kernel import STRANGERS
+from assist.connect.bridges.mqtt_settings import MqttSettings
+from assist.connect.bridges.transport import Drove, Output
 from assist.declare.refusals import Refusal
-from assist.live import Acted, Left
+from assist.live import Acted, Joined, Left
 from assist.web.server import listen, run
 from planner.system.errors import MissingExtraError
 
@@ -149,6 +155,95 @@ def test_arrivals_of_a_robot_are_recorded_in_order_though_one_is_sent_again(
         assert here.service.outlook.robots[0].location == "ann"
 
     served(tmp_path, work)
+
+
+def test_what_was_under_way_when_a_connection_broke_is_sent_in_order_and_advice_is_the_newest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gates = list[asyncio.Future[None]]()
+    at_once = Queues.send
+
+    async def acknowledged_late(self: Queues, key: str, content: Any) -> None:
+        for gate in gates:
+            await gate
+        await at_once(self, key, content)
+
+    monkeypatch.setattr(Queues, "send", acknowledged_late)
+    monkeypatch.setattr(Queues, "at_once", 8)  # messages, as with MQTT
+
+    async def work(here: Here, queues: Queues, bridge: Bridge) -> None:
+        await until(lambda: bridge.connected and queues.of("advice/ann"))
+        gates.append(asyncio.get_running_loop().create_future())
+        for number, action in enumerate(("(fetch box-a)", "(return box-a)", "(fetch box-a)"), start=1):
+            queues.inbox.put_nowait(act("ann", action, str(number), number))
+            await until(lambda: bridge.counts["recorded"] == number)  # noqa: B023
+            await asyncio.sleep(0.01)  # the answer and the advice are under way
+        queues.sent.clear()
+        gates.pop().set_exception(OSError("the broker is gone"))
+        await until(lambda: len(queues.of("answers/ann")) == 3 and queues.of("advice/ann"))
+        assert [one["next"] for one in queues.of("answers/ann")] == [2, 3, 4]
+        assert queues.of("advice/ann")[-1]["seq"] == json.loads(here.service.view("ann"))["seq"]
+
+    served(tmp_path, work)
+
+
+def test_a_name_is_the_same_sender_in_any_form_of_unicode(tmp_path: Path) -> None:
+    composed, apart = (unicodedata.normalize(form, "Zoë") for form in ("NFC", "NFD"))
+
+    async def work(here: Here, queues: Queues, bridge: Bridge) -> None:
+        await until(lambda: bridge.connected)
+        await here.service.report(Joined(person=composed))
+        queues.inbox.put_nowait(Reported(MqttSettings(observe={"topic": "line/{person}/action"}).sources[0].report(
+            {"person": f" {apart} ", "action": "(fetch box-a)", "id": "a"}, {})))  # fmt: skip
+        await until(lambda: bridge.counts["recorded"])
+        await here.service.report(Left(person=composed))
+        await until(lambda: queues.of(f"advice/{composed}")[-1:] == [None])
+        assert not any(apart in key for key, _ in queues.sent)
+
+    served(tmp_path, work)
+
+
+def test_messages_about_nobody_cost_no_memory(tmp_path: Path) -> None:
+    async def work(_: Here, queues: Queues, bridge: Bridge) -> None:
+        await until(lambda: bridge.connected)
+        for number in range(2 * STRANGERS):
+            queues.inbox.put_nowait(act(f"stranger-{number}", "(fetch box-a)", "1", 1))
+        queues.inbox.put_nowait(act("ann", "(fetch box-a)", "1", 1))
+        await until(lambda: bridge.counts["refused"] == 2 * STRANGERS and bridge.counts["recorded"])
+        assert len(bridge._senders) <= STRANGERS + 1
+        assert "ann" in bridge._senders
+
+    served(tmp_path, work)
+
+
+def test_an_instruction_that_the_stream_told_is_not_replaced_by_an_older_answer() -> None:
+    """The drive to a new person was cancelled, and the robot was not sent again."""
+
+    async def work() -> list[str | None]:
+        put, answer = list[str | None](), asyncio.get_running_loop().create_future()
+        transport = Queues()
+        transport.drive = lambda _, person, drive: [Output("drive", (person, drive))]  # type: ignore[method-assign]
+        drives = list[str]()
+
+        def note(outputs: Any) -> None:
+            for output in outputs:
+                put.append(output.content[0])
+                drives.append(output.content[1])
+
+        async def arrived(*_: Any) -> Any:
+            return await answer
+
+        errands = Errands(transport, note, arrived, asyncio.create_task, 0.1)
+        errands.connected()
+        errands.instructed(1, {"person": "ann", "arrived": False, "seq": 3})
+        errands.drove(Drove(drives[-1], True))
+        await asyncio.sleep(0)
+        errands.instructed(1, {"person": "bob", "arrived": False, "seq": 5})
+        answer.set_result({"person": "ann", "arrived": True, "seq": 4})
+        await asyncio.sleep(0.01)
+        return put
+
+    assert asyncio.run(work()) == ["ann", "bob"]
 
 
 def test_advice_is_sent_again_after_a_connection_was_lost_and_removed_when_somebody_leaves(tmp_path: Path) -> None:
