@@ -158,7 +158,7 @@ class Reader:
         return Study(
             **{name: getattr(table, name) for name in names_of(StudyPlan)}, file=self.file,
             title=table.title or self.file.stem, focus=focus, baseline=baseline, populations=tuple(people.items()),
-            instances=instances, own_policies=tuple(self.own.items()), conditions=tuple(conditions),
+            instances=instances, own_policies=tuple(self.own.items()), default=setting, conditions=tuple(conditions),
             contrasts=table.contrasts, reference=table.reference,
         )  # fmt: skip
 

@@ -196,7 +196,7 @@ class StudyPlan:
     trials: Annotated[Count, Field(description="Episodes of each team.")] = 5
 
 
-IRRELEVANT = {"file", "title", "focus", "baseline", "contrasts", "reference"} | {
+IRRELEVANT = {"file", "title", "focus", "baseline", "default", "contrasts", "reference"} | {
     name for name in names_of(StudyPlan) if Unseen() in marks(annotation_of(StudyPlan, name))
 }
 """Fields of a study on which no episode depends."""
@@ -220,6 +220,8 @@ class Study(StudyPlan):
         Labels and tasks.
     own_policies : tuple of pairs
         Names of user policies, with file and function.
+    default : Setting
+        What the settings of conditions differ from.
     conditions : tuple of Condition
         The first condition provides the headline.
     contrasts : tuple of Contrast
@@ -233,6 +235,7 @@ class Study(StudyPlan):
     populations: tuple[tuple[str, Population], ...]
     instances: tuple[tuple[str, Instance], ...]
     own_policies: tuple[tuple[str, tuple[Path, str]], ...]
+    default: Setting
     conditions: tuple[Condition, ...]
     contrasts: tuple[Contrast, ...]
     reference: Reference | None
@@ -309,7 +312,8 @@ class Study(StudyPlan):
         return json.loads(json.dumps(self._plain(), default=str))
 
     def _plain(self) -> dict[str, Any]:
-        found = asdict(self) | {"populations": [(name, plain(people)) for name, people in self.populations]}
+        people = [(name, plain(one)) for name, one in self.populations]
+        found = asdict(self) | {"populations": people, "default": plain(self.default)}
         for condition, own in zip(found["conditions"], self.conditions, strict=True):
             condition["settings"] = tuple((label, plain(setting)) for label, setting in own.settings)
         return found

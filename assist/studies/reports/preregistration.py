@@ -25,18 +25,18 @@ from ..userstudy.plan_file import first_difference
 from ..userstudy.session import JOURNAL
 from ..userstudy.tables import Tables
 
+PACKAGE = Path(__file__).parents[2]
 ANALYSIS = (
-    "learning/intervals.py", "studies/statistics.py", "studies/repeated_measures.py",
-    *(f"studies/userstudy/{one}.py" for one in ("plan", "forms", "questionnaires", "outcomes", "tables", "csv_tables")),
-    *(f"studies/reports/userstudy_{one}.py" for one in ("data", "comparisons", "summary")),
+    "learning/intervals.py", "studies/statistics.py", "studies/repeated_measures.py", "studies/userstudy/*.py",
+    "studies/reports/userstudy_*.py", "studies/reports/wording.py",
 )  # fmt: skip
-"""Files of the package on which the numbers of a report depend."""
+"""Files of the package on which a report may depend, as patterns."""
 
 
 def analysis_digests() -> dict[str, str]:
     """Return the SHA-256 digest of each file of the analysis."""
-    package = Path(__file__).parents[2]
-    return {name: hashlib.sha256((package / name).read_bytes()).hexdigest() for name in ANALYSIS}
+    files = sorted(file for pattern in ANALYSIS for file in PACKAGE.glob(pattern))
+    return {str(file.relative_to(PACKAGE)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 def register(study: UserStudy, folder: Path) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def report_text(found: Found, summary: Record, pictures: dict[str, str]) -> str:
     groups = _groups(summary)
     return rendered(
         "study_report.md.jinja",
-        study=study, plan=sentences(StudyPlan), setting=plain(study.conditions[0].settings[0][1]), summary=summary,
+        study=study, plan=sentences(StudyPlan), setting=plain(study.default), summary=summary,
         pictures=pictures,
         FEW=FEW, OWN=OWN, whose=of_whom(found), episode=watched(study),
         people=dict(_people(study)), version=metadata.version("kitassist"),
@@ -310,10 +310,10 @@ def _sensitivity(found: Found, summary: Record) -> str:
         people = "" if r["population"] == found.main["population"] else r["population"]
         taken = "" if r["prior"] == found.main["prior"] else f"prior {prior(r['prior'])}"
         what = ", ".join(part for part in (r["setting"], people, taken) if part)
-        key = (what or "default", r["policy"], r["instance"], str(r["pools"]))
+        key = (r["condition"], what or "default", r["policy"], r["instance"], str(r["pools"]))
         grouped.setdefault(key, {})[f"{r['measure']} against {r['against']}"] = interval(r)
     columns = list(dict.fromkeys(name for cells in grouped.values() for name in cells))
     return markdown_table(
-        ["variation", "policy", "instance", "pools", *columns],
+        ["condition", "variation", "policy", "instance", "pools", *columns],
         ([*key, *(cells.get(name, "-") for name in columns)] for key, cells in grouped.items()),
     )

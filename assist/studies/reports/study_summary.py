@@ -69,7 +69,7 @@ class Found:
         }  # fmt: skip
 
     def with_baselines(self, arm: dict[str, str], own: pd.DataFrame) -> pd.DataFrame:
-        """Add baselines that an arm lacks, if the first condition has them for the same people and random numbers.
+        """Add baselines that an arm lacks, if the first condition has them for the same teams and random numbers.
 
         Without assistance, people's actions depend only on the step limit. Under the reactive policy they depend on
         all of the setting but `UNUSED_BY_REACTIVE`.
@@ -82,7 +82,8 @@ class Found:
             if name not in set(own["policy"]) and has_same_baseline(name, here, main):
                 where = {"population": arm["population"], "instance": arm["instance"], "policy": name}
                 same = rows_of(self.pools, self.main | where)
-                parts.append(same[same["repeat"].isin(own["repeat"]) & same["humans"].isin(own["humans"])])
+                if {*own["humans"]} <= {*same["humans"]}:
+                    parts.append(same[same["repeat"].isin(own["repeat"]) & same["humans"].isin(own["humans"])])
         return pd.concat(parts)
 
     def _setting(self, arm: dict[str, str]) -> Setting:

@@ -128,6 +128,24 @@ def test_a_policy_that_never_acts_saves_nothing_in_teams_of_any_size(tmp_path: P
     assert found == {(0.0, 0.0, 0.0)}
 
 
+def test_a_baseline_is_borrowed_for_the_same_teams_only_and_rows_are_told_apart_by_the_condition(
+    tmp_path: Path,
+) -> None:
+    head = TINY.split("[[conditions]]")[0]
+    more = [
+        'name = "first"\nsettings = [{ c_suggest = 0.3 }]\n',
+        'name = "few"\nhumans = [1, 3]\npolicies = ["attention"]\n',
+        'name = "own"\nhumans = [1, 3]\n',
+    ]
+    report = report_of(tmp_path, "[[conditions]]\n".join([head, *more]), 2)
+    whole = [row for row in report.summary["comparisons"] if row["humans"] is None]
+    assert {row["condition"] for row in whole if row["policy"] == "attention"} == {"first", "own"}
+    assert "| first | c_suggest 0.3 | attention |" in report.text
+    assert "| own | default | attention |" in report.text
+    usual = report.text.partition("The default setting, unless a condition differs: ")[2].partition("\n")[0]
+    assert "c_suggest 0.2" in usual
+
+
 def test_a_baseline_of_another_setting_is_not_borrowed(tmp_path: Path) -> None:
     """Two robots intervene more often than one, so that the reactive policy of one robot is no baseline for them."""
     head, first = TINY.split("[[conditions]]")[:2]

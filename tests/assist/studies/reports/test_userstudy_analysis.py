@@ -639,6 +639,9 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
     assert "since the registration, the study's file has changed (line" in served.stderr
     assert served.exit_code == 3
     record = json.loads((data / REGISTERED).read_text())
+    # Who withdrew, the orders and the words "more" and "less" are parts of the results, too.
+    for name in ("userstudy/roll.py", "userstudy/record.py", "userstudy/assignment.py", "reports/wording.py"):
+        assert f"studies/{name}" in record["analysis"]
     record["analysis"]["studies/statistics.py"] = "0"
     (data / REGISTERED).write_text(json.dumps(record | {"registered": "3000-01-01T00:00:00+00:00"}))
     for part in ("registered after the first participant had arrived", "has changed (studies/statistics.py)"):
