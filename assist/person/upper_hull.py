@@ -85,7 +85,7 @@ def new_program(size: int, most: int = 256) -> Program:
     )  # fmt: skip
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, inner=True)
 def solve(belief: Floats, point: Floats, drop: Floats, count: int, enough: float, pivots: int, program: Program) -> int:
     """Compute the weights of the first `count` points of `program.column`; return the number of those with a weight.
 

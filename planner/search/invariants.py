@@ -93,7 +93,7 @@ class Mutexes:
         return cls(first, together, left, barred[possible])
 
 
-@njit(nogil=True)
+@njit(nogil=True, inner=True)
 def _beside(together, facts, fact):
     """Whether a fact may hold together with each of the given facts, which end at the first negative entry."""
     for other in facts:
@@ -104,7 +104,7 @@ def _beside(together, facts, fact):
     return True
 
 
-@njit(nogil=True)
+@njit(nogil=True, inner=True)
 def _add(together, facts, fact):
     """Record that a fact may hold together with each of the given facts."""
     for other in facts:

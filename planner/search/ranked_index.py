@@ -218,7 +218,7 @@ class RankedSpace:
         states, blocks = self.index.states, list(self.index.ranks_where(goal))
         self._closed = np.empty(0, dtype=np.uint64)  # of the search for another goal
         for block in blocks:
-            state_sets.label(states, distance, 0, block)
+            state_sets.label(states, distance, distance.dtype.type(0), block)
         fits = self.nbytes + distance.nbytes + states.bits.nbytes <= self.index.budget.room * CLOSED_BITMAP_SHARE
         # Beyond 128 ranks per state, the bitmap takes more memory than it saves time; a megabyte does not matter.
         if fits and 64 * len(states.bits) <= 128 * max(len(self), 1 << 16):

@@ -55,7 +55,7 @@ tables.
 """
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def decode(decoder, rank, words):
     """Write the packed state of a rank into `words`."""
     rest = np.uint64(rank)
@@ -155,7 +155,7 @@ def start_cursor(operators, decoder):
     return cursor
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def applicable(operators, decoder, rank, cursor, moves):
     """Write the moves that are applicable in the state of a rank; leave that state in `cursor.words`."""
     words, sets = cursor.words, cursor.sets
@@ -203,7 +203,7 @@ def applicable(operators, decoder, rank, cursor, moves):
     return count
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def after(operators, words, move, rank):
     """Return the rank after a move; negative if there is no successor."""
     target = rank + operators.delta[move]

@@ -86,7 +86,7 @@ def hash_of(state):
     return mixed * np.uint64(0xD6E8FEB86659FD93)
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def place_of(slots, mixed):
     """Return the slot at which the probe for a state begins."""
     return np.int64(mixed >> np.uint64(20) & np.uint64(len(slots) - 1))
@@ -98,7 +98,7 @@ def entry_of(mixed, number):
     return mixed >> np.uint64(NUMBER) << np.uint64(NUMBER) | np.uint64(number + 1)
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def find(slots, states, state, mixed):
     """Return the slot of a state, or the free slot (0) where it belongs."""
     at = place_of(slots, mixed)
@@ -218,7 +218,7 @@ def ask_for(states, rank):
     prefetch(states.within, rank >> 9)
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def number_of(states, rank):
     """Return the number of the state with a rank; -1 if there is none."""
     word = rank >> 6
@@ -317,7 +317,7 @@ def close(states, distance, unreached, closed):
         closed[word] = left
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inner=True)
 def is_closed(closed, rank):
     """Return whether a rank is closed; without a bitmap, none is."""
     return len(closed) != 0 and closed[rank >> 6] & (np.uint64(1) << np.uint64(rank & 63)) != 0

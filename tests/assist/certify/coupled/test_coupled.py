@@ -208,8 +208,9 @@ def test_compiled_choices_are_those_of_the_index(seed: int, count: int, actions:
     act = policy(agents, "benefit", resources)
     states = rng.integers(3, size=(20, count))
     expected, found = act(0, states), np.empty((20, count), dtype=np.int64)
+    use, left = agents.flat[1].copy(), float(resources)  # as in `propose`, so that it is compiled once
     for row, place in zip(found, states + agents.kind * 3, strict=True):
-        serve(act.gain[0], agents.flat[1], act.rest[0], place, resources, np.zeros(count, dtype=bool), row)
+        serve(act.gain[0], use, act.rest[0], place, left, np.zeros(count, dtype=bool), row)
     np.testing.assert_array_equal(found, expected)
 
 
