@@ -591,6 +591,7 @@ def test_the_report_separates_confirmatory_from_exploratory(tmp_path: Path, text
 
 
 @pytest.mark.usefixtures("no_figures")
+@pytest.mark.usefixtures("no_figures")
 def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -603,12 +604,11 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
         return Forecast(study, {}, {})
 
     monkeypatch.setattr(Forecast, "of", forecast)
-    monkeypatch.setattr("planner.system.progress.BETWEEN_LINES", 0.01)
-    said = invoke("study-prepare", file, "--data", data)
+    with monkeypatch.context() as patched:
+        patched.setattr("planner.system.progress.BETWEEN_LINES", 0.01)
+        said = invoke("study-prepare", file, "--data", data)
     assert there == [True]  # a study that begins meanwhile finds it
     assert "simulating participants, 0 s" in said.stderr
-    monkeypatch.undo()
-    monkeypatch.setattr(Forecast, "of", forecast)
     assert json.loads(said.stdout) | {"text": CONFIRMED} == json.loads((data / REGISTERED).read_text())
     assert f"serve --study {file} --data {data}` begins the study" in said.stderr
     again = invoke("study-prepare", file, "--data", data)
