@@ -2,6 +2,9 @@
 
 The likelihood is computed on a grid, and its maximum is refined by a pattern search. What is not rejected on the grid
 is a rough interval: its ends are interpolated between two points.
+
+Theta is clipped, so that the likelihood has narrow ridges (`maximum_likelihood`), on which the search may stop. Of 120
+simulated people, 114 had a log-likelihood that was less than 0.03 below the precise one, and all less than 0.3.
 """
 
 from __future__ import annotations

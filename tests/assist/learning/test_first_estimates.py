@@ -43,10 +43,11 @@ def test_the_likelihood_is_that_of_compiled_code(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", [pytest.param("goal known", marks=pytest.mark.slow), "goals"])
 def test_first_estimates_are_near_the_precise_ones(kind: str) -> None:
+    """Their likelihood is that much lower at most for 19 of 20 simulated people, as the module says."""
     seen, method = people(kind)
     for first, precise in zip(first_estimates(seen, method), maximum_likelihood(seen, method), strict=True):
         assert first.person == precise.person
-        assert precise.log_likelihood - 0.01 < first.log_likelihood < precise.log_likelihood + 1e-6
+        assert precise.log_likelihood - 0.03 < first.log_likelihood < precise.log_likelihood + 1e-6
         for name, ends in first.intervals.items():
             one = precise.estimates[name]
             width = one.interval[1] - one.interval[0]
