@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from conftest import invoke
+from test_own_trust_rules import OWN as OF_TRUST
 
 import assist
 from assist.certify import upper_bound
-from assist.cli import main
 from assist.learning import Method, compare_rules, fit_influence, replayed
 from assist.live import Assistant, Session
 from assist.people import Neighbours, UserCodeError
@@ -66,10 +66,6 @@ def own(tmp_path: Path) -> Path:
     return file
 
 
-def invoke(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(one) for one in arguments])
-
-
 def setting(rule: Any, **fields: Any) -> Setting:
     return Setting(c_suggest=0.01, gamma=0.8, neighbours=Neighbours(rule=rule), **fields)
 
@@ -108,15 +104,20 @@ def test_commands_take_a_rule_in_a_file(own: Path, tmp_path: Path) -> None:
     assert invoke("check", f"{own}:Misspelt").stdout.count("\n") == 1
 
 
-def test_a_study_knows_when_the_file_of_a_rule_has_changed(own: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("code", "setting"),
+    [(OWN, 'neighbours = { rule = "rules.py:strongly" }'), (OF_TRUST, 'trust = "rules.py:strongly"')],
+    ids=["neighbours", "trust"],
+)
+def test_a_study_knows_when_the_file_of_a_rule_has_changed(code: str, setting: str, tmp_path: Path) -> None:
+    (rules := tmp_path / "rules.py").write_text(code)
     (file := tmp_path / "study.toml").write_text(
         'title = "own"\nrepeats = 1\ninstances = ["kitting/tiny"]\nhumans = [2]\npool = 2\ndraws = 1\ntrials = 1\n'
-        'policies = ["none", "attention"]\n[[conditions]]\nname = "main"\n'
-        'settings = [{ neighbours = { rule = "rules.py:strongly" } }]\n'
+        f'policies = ["none", "attention"]\n[[conditions]]\nname = "main"\nsettings = [{{ {setting} }}]\n'
     )
     study = read(file)
     before = study.fingerprint()
-    own.write_text(OWN.replace("0.3", "0.2"))
+    rules.write_text(code.replace("0.3", "0.2"))
     assert study.fingerprint() != before
 
 

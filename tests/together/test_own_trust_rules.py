@@ -19,7 +19,6 @@ from assist.learning import RuleFamily, compare_rules, fit_influence, replayed
 from assist.live import Assistant, Session
 from assist.people import Population, UserCodeError
 from assist.person import Setting
-from assist.studies import read
 from assist.team import Pool, simulate
 from planner import InputFileError, cost_to_go, sweep
 
@@ -103,18 +102,6 @@ def test_commands_take_a_rule_in_a_file(own: Path, log: Path, tmp_path: Path) ->
     assert (refused.exit_code, "has no rules of your own" in refused.stderr) == (2, True)
     refused = invoke("fit", TINY, log, "--influence", "papr")
     assert (refused.exit_code, "did you mean 'paper'?" in refused.stderr) == (2, True)
-
-
-def test_a_study_takes_a_rule_in_a_file_and_knows_when_it_changed(own: Path, tmp_path: Path) -> None:
-    (file := tmp_path / "study.toml").write_text(
-        'title = "own"\nrepeats = 1\ninstances = ["kitting/tiny"]\nhumans = [1]\npool = 2\ndraws = 1\ntrials = 1\n'
-        'policies = ["none", "attention"]\n[[conditions]]\nname = "main"\n'
-        'settings = [{ trust = "rules.py:strongly" }]\n'
-    )
-    study = read(file)
-    before = study.fingerprint()
-    own.write_text(OWN.replace("0.3", "0.2"))
-    assert study.fingerprint() != before
 
 
 def test_a_saved_team_takes_its_rule_again(own: Path) -> None:
