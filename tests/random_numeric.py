@@ -5,6 +5,7 @@ both ways with a conserved sum, without an initial value, or read by nothing, an
 which of these it has, with or without durations and a metric. With `free`, functions that nothing bounds but what can
 be reached go up, down, or by the value of another one, often in turn. With `edges`, numbers begin beyond what is
 compared, assignments read what they assign, conditions of effects read numbers of all objects, and a type has none.
+With `costs`, actions cost differences of numbers, mostly under a condition that these are not negative.
 """
 
 from __future__ import annotations
@@ -43,8 +44,9 @@ FREE_KINDS, FREE_CHANCES = ("free", "guarded", "price"), (0.6, 0.25, 0.15)
 
 
 class _Draw:
-    def __init__(self, rng: np.random.Generator, free: bool, edges: bool) -> None:
+    def __init__(self, rng: np.random.Generator, free: bool, edges: bool, costs: bool) -> None:
         self.rng = rng
+        self.costs = costs
         self.edges = edges
         self.free = free
         self.durative = bool(rng.random() < 0.5)
@@ -52,10 +54,11 @@ class _Draw:
         self.decimals = bool(rng.random() < 0.3)
         kinds_of, chances = (FREE_KINDS, FREE_CHANCES) if free else (KINDS[1:], CHANCES)
         kinds = ["static", *(str(kind) for kind in rng.choice(kinds_of, rng.integers(1, 4), p=chances))]
+        kinds += ["guarded", "price"] if costs else []
         self.functions = [
             _Function(f"f{i}", int(rng.integers(0, 2)), kind, int(rng.integers(2, 5))) for i, kind in enumerate(kinds)
         ]
-        self.metric = str(rng.choice(["none", "time", "price", "both"]))
+        self.metric = "price" if costs else str(rng.choice(["none", "time", "price", "both"]))
         self.priced = [each for each in self.functions if each.kind == "price"]
 
     def often(self, chance: float) -> bool:
@@ -102,6 +105,8 @@ class _Draw:
     def change(self, term: str, other: str) -> tuple[list[str], list[str]]:
         """Return the conditions and the effects of one change of a function."""
         function = self.functions[int(self.rng.integers(len(self.functions)))]
+        if self.costs and self.often(0.4):
+            function = self.priced[-1]
         step = self.number(1, 2)
         kind = function.kind
         if kind == "static":
@@ -135,6 +140,14 @@ class _Draw:
             return [f"(>= {target} 1)"], [f"(decrease {target} 1)", f"(increase {function.of(other)} 1)"]
         if kind == "pair":
             return [f"(>= {target} 1)"], [f"(decrease {target} 1)"]
+        if kind == "price" and self.costs:
+            read, least = self.some("guarded", "pair"), self.some("guarded", "pair", "static")
+            assert read is not None
+            assert least is not None
+            taken = self.any([least.of(term), self.number(0, 2)])
+            condition = self.any([f"(>= {read.of(term)} {taken})", f"(not (< {read.of(term)} {taken}))"])
+            amount = f"(- {read.of(term)} {taken})"
+            return [condition] if self.often(0.8) else [], [f"(increase {target} {amount})"]
         amount = self.static(term) if kind in ("price", "dead") or self.often(0.3) else step
         return [], [f"(increase {target} {amount})"]
 
@@ -237,6 +250,6 @@ class _Draw:
         return Texts(domain, problem)
 
 
-def draw(seed: int, *, free: bool = False, edges: bool = False) -> Texts:
+def draw(seed: int, *, free: bool = False, edges: bool = False, costs: bool = False) -> Texts:
     """Return the task of a seed."""
-    return _Draw(np.random.default_rng(seed), free, edges).texts()
+    return _Draw(np.random.default_rng(seed), free, edges, costs).texts()

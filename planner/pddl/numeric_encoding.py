@@ -219,8 +219,9 @@ def _costs(scope: Scope, costed: Costed) -> tuple[tuple[str, ...], dict[tuple[st
         if expression is not None and scope.statics.is_static(expression):
             variables, rows = scope.static_rows(expression)
             for row, value in rows:
-                if value < 0:
+                if value < 0 and scope.may_be(variables, [row]):
                     _negative(scope, what, dict(zip(variables, row, strict=True)), value)
+            rows = [each for each in rows if each[1] >= 0]
             if variables and scope.rows(variables, ()) and len(rows) < len(scope.rows(variables, ())):
                 scope.require((row for row, _ in rows), variables)
             elif not rows:
@@ -228,14 +229,14 @@ def _costs(scope: Scope, costed: Costed) -> tuple[tuple[str, ...], dict[tuple[st
             if what == "cost":
                 return variables, dict(rows)
     sums = scope.computed(cost)
+    priced = {scope.encoder.object_of(number): number for number in sorted(sums.numbers)}
+    for object_, number in priced.items():
+        if number < 0 and scope.may_be((sums.variable,), [(object_,)]):
+            refuse(scope.encoder.file, schema.place, f"action '{schema.name}' may cost {as_shown(number)}; expected a "
+                   "condition that excludes costs below 0")  # fmt: skip
     if schema.duration is not None and not scope.statics.is_static(schema.duration):
         scope.compare(listed(word(">="), schema.duration, word("0")))
-    numbers = {scope.encoder.object_of(number): number for number in sums.numbers}
-    for number in sums.numbers:
-        if number < 0:
-            refuse(scope.encoder.file, schema.place, f"action '{schema.name}' may cost {as_shown(number)}; expected "
-                   "costs of 0 or more for all values of its numbers")  # fmt: skip
-    return (sums.variable,), {(name,): number for name, number in numbers.items()}
+    return (sums.variable,), {(name,): number for name, number in priced.items() if number >= 0}
 
 
 def _negative(scope: Scope, what: str, bound: Mapping[str, str], value: Number) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from math import prod
 
 from ..system.errors import UnsuitedError
@@ -95,10 +95,10 @@ class Statics:
         relations, filters = [], []
         for condition in (each for whole in conditions for each in conjuncts(whole)):
             if condition.head in self.facts:
-                relations.append(_relation(condition, self.facts[condition.head], variables))
+                relations.append(relation(condition, self.facts[condition.head], variables))
             elif free_variables(condition).keys() <= variables.keys() and self._decides(condition):
                 filters.append(condition)
-        relations += [_relation(term, self.values[term.head].keys(), variables) for term in terms]
+        relations += [relation(term, self.values[term.head].keys(), variables) for term in terms]
         kinds = {name: set(self.of_kind(kind)) for name, kind in variables.items()}
         kept = []
         for names, rows in relations:
@@ -247,8 +247,8 @@ def bound_terms(expression: Expression, bound: Mapping[str, str]) -> Expression:
     return expression._replace(parts=(expression.parts[0], *words))
 
 
-def _relation(
-    atom: Expression, rows: Iterable[Sequence[str]], variables: Mapping[str, str]
+def relation(
+    atom: Expression, rows: Iterable[Sequence[str]], variables: Container[str]
 ) -> tuple[tuple[str, ...], set[tuple[str, ...]]]:
     """Return the variables of an atom, and the objects for them for which one of the rows satisfies it."""
     words = [part.word for part in atom.parts[1:]]

@@ -42,7 +42,7 @@ class Encoder:
         self.names = {name: self.fresh(f"is-{name}") for name in sorted(kept)}
         self.facts: dict[tuple[str, ...], None] = {}
         self.relations: dict[frozenset[tuple[str, ...]], str] = {}
-        self.arities: dict[str, int] = {}
+        self.rows: dict[str, frozenset[tuple[str, ...]]] = {}
         self.numbers: dict[str, frozenset[Number]] = {}
         self.undefined: set[str] = set()
         self.special: set[str] = set()
@@ -115,7 +115,7 @@ class Encoder:
         if found not in self.relations:
             name = self.fresh(f"relation-{len(self.relations) + 1}")
             self.relations[found] = name
-            self.arities[name] = len(next(iter(found), ()))
+            self.rows[name] = found
             self.facts.update(dict.fromkeys((name, *row) for row in sorted(found)))
         return self.relations[found]
 
@@ -144,6 +144,6 @@ def value_symbol(encoder: Encoder, symbol: Symbol) -> Symbol:
 def relation_symbols(encoder: Encoder, place: Place) -> list[Symbol]:
     """Return the predicates of the static relations."""
     return [
-        Symbol(name, tuple(Typed(f"?x{number}", (OBJECT,), place) for number in range(size)), place)
-        for name, size in encoder.arities.items()
+        Symbol(name, tuple(Typed(f"?x{number}", (OBJECT,), place) for number in range(len(next(iter(rows))))), place)
+        for name, rows in encoder.rows.items()
     ]  # fmt: skip

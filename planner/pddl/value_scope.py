@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
+from ..system.errors import UnsuitedError
 from .conditions import (
     COMPLEMENT,
     FALSE,
@@ -21,7 +24,7 @@ from .durative import key
 from .formulas import listed, word
 from .instances import Expression, Place
 from .numeric_expressions import OPERATIONS, Number, applied, compared, linear, terms_of
-from .static_facts import literal_number
+from .static_facts import LARGEST_JOIN, literal_number, relation
 from .value_encoder import MOST_ROWS, MOST_TRIED, Encoder
 from .value_sets import Beyond, Fluent
 
@@ -139,6 +142,50 @@ class Scope:
         variable = self.fresh()
         self.require(((*row, self.encoder.object_of(value)) for row, value in rows), (*variables, variable))
         return Sum(variable, frozenset(value for _, value in rows))
+
+    def may_be(self, names: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> bool:
+        """Whether variables may be some objects, as far as the single facts that are required tell."""
+        if FALSE in self.atoms:
+            return False
+        found, waiting = set(rows), self._required(names)
+        while waiting and found:
+            columns, facts = nearest = min(waiting, key=lambda each: (-len(set(each[0]) & set(names)), len(each[1])))
+            waiting.remove(nearest)
+            shared = [name for name in columns if name in names]
+            at, within = [names.index(name) for name in shared], [columns.index(name) for name in shared]
+            index: dict[tuple[str, ...], list[tuple[str, ...]]] = defaultdict(list)
+            for row in facts:
+                index[tuple(row[n] for n in within)].append(row)
+            needed = {name for each in waiting for name in each[0]}
+            both = (*names, *columns)
+            kept = [both.index(name) for name in dict.fromkeys(both) if name in needed]
+            pairs = ((*old, *new) for old in found for new in index.get(tuple(old[n] for n in at), ()))
+            found = {tuple(row[n] for n in kept) for row in pairs}
+            names = tuple(both[n] for n in kept)
+            if len(found) > LARGEST_JOIN:
+                return True
+        return bool(found)
+
+    def _required(self, names: Iterable[str]) -> list[tuple[tuple[str, ...], set[tuple[str, ...]]]]:
+        """Return the variables of each fact that is required, and the objects that they may be.
+
+        The last ones are all parameters among these variables and the given ones.
+        """
+        encoder = self.encoder
+        functions = {predicate: name for name, predicate in encoder.names.items()}
+        found = []
+        for atom in self.atoms:
+            if atom.head in functions:
+                fluents = encoder.fluents[functions[atom.head]]
+                rows = [(*f[1:], encoder.object_of(value, f)) for f in fluents for value in encoder.sets.values[f]]
+                found.append(relation(atom, rows, free_variables(atom)))
+            elif atom.head in encoder.rows:
+                found.append(relation(atom, encoder.rows[atom.head], free_variables(atom)))
+        every = dict.fromkeys([*names, *(name for columns, _ in found for name in columns)])
+        own = tuple(name for name in every if name in self.kinds)
+        with suppress(UnsuitedError):
+            found.append((own, {tuple(row.values()) for row in self.rows(own, ())}))
+        return found
 
     def related(self, static: Expression, variables: Sequence[Sum | str], numbers: Sequence[frozenset[Number]],
                 names: Sequence[str | None], holds: Callable[..., Sequence[Number | Beyond] | bool | None],

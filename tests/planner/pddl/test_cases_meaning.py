@@ -191,6 +191,41 @@ UNREAD = {
 }  # fmt: skip
 """Costs without a value, which matter only if the sum of costs does."""
 
+WORKED = ("(:functions (n) (m) (total-cost)) (:predicates (q)) (:action work :precondition {} :effect (and (increase "
+          "(total-cost) {}) (decrease (n) 1))) (:action more :precondition (< (m) 3) :effect (and (increase (m) 1) "
+          "(increase (total-cost) 3))) (:action finish :precondition (<= (n) 2) :effect (q))")  # fmt: skip
+PAY = "(:init (= (n) 5) (= (m) 1) (= (total-cost) 0)) (:goal (and (q) (>= (m) {}))) (:metric minimize (total-cost))"
+EXCLUDED = {
+    "by a number": (WORKED.format("(>= (n) 2)", "(- (n) 2)"), PAY.format(1), 6),
+    "negated": (WORKED.format("(not (< (n) 2))", "(- (n) 2)"), PAY.format(1), 6),
+    "by another number": (WORKED.format("(and (> (n) 0) (>= (n) (m)))", "(- (n) (m))"), PAY.format(2), 9),
+    "around the cost": (
+        WORKED.format("(> (n) 0)", "0").replace("(increase (total-cost) 0)",
+        "(when (>= (n) 4) (increase (total-cost) (- (n) 3)))"), PAY.format(1), 3,
+    ),
+    "of each object": (
+        "(:types bin) (:functions (n ?b - bin) (least ?b - bin) (total-cost)) (:predicates (q)) (:action work "
+        ":parameters (?b - bin) :precondition (>= (n ?b) (least ?b)) :effect (and (increase (total-cost) (* 2 (- "
+        "(n ?b) (least ?b)))) (decrease (n ?b) 1))) (:action finish :precondition (forall (?b - bin) (< (n ?b) 3)) "
+        ":effect (q))",
+        "(:objects a b - bin) (:init (= (n a) 5) (= (n b) 6) (= (least a) 1) (= (least b) 2) (= (total-cost) 0)) "
+        "(:goal (q)) (:metric minimize (total-cost))", 38,
+    ),
+    "of a number that never changes": (
+        "(:functions (n) (least ?x) (total-cost)) (:predicates (q ?x)) (:action work :parameters (?x) :precondition "
+        "(>= (least ?x) (n)) :effect (and (q ?x) (increase (total-cost) (- (least ?x) 2)))) (:action more "
+        ":precondition (< (n) 4) :effect (and (increase (n) 1) (increase (total-cost) 1)))",
+        "(:objects a b) (:init (= (n) 2) (= (least a) 1) (= (least b) 5) (= (total-cost) 0)) (:goal (and (q b) "
+        "(>= (n) 3))) (:metric minimize (total-cost))", 4,
+    ),
+    "for a duration": (
+        "(:functions (n)) (:predicates (q)) (:durative-action work :parameters () :duration (= ?duration (- (n) 2)) "
+        ":condition (at start (>= (n) 2)) :effect (at end (decrease (n) 1))) (:action finish :precondition "
+        "(<= (n) 2) :effect (q))", "(:init (= (n) 5)) (:goal (q))", 7,
+    ),
+}  # fmt: skip
+"""Costs that are negative for some values of their numbers, which a condition excludes."""
+
 CASES = {
     f"{kind}: {name}": case
     for kind, cases in {
@@ -201,6 +236,7 @@ CASES = {
         "assigned": ASSIGNED,
         "divided": DIVIDED,
         "unread": UNREAD,
+        "excluded": EXCLUDED,
     }.items()
     for name, case in cases.items()
 }
@@ -223,6 +259,13 @@ def test_assignments_that_differ_are_refused(tmp_path: Path, other: str) -> None
     (tmp_path / "domain.pddl").write_text(f"(define (domain d)\n{BIG.format(f'(and {DOWN} {other})')})")
     (tmp_path / "p.pddl").write_text(f"(define (problem p) (:domain d)\n{OBJECTS.format('(= (n) 1)')})")
     with pytest.raises(PDDLError, match=r"domain.pddl:2: action 'a' changes '\(n\)' twice at one time, on line 2"):
+        load(tmp_path / "p.pddl")
+
+
+def test_a_negative_cost_that_no_condition_excludes_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "domain.pddl").write_text(f"(define (domain d)\n{WORKED.format('(>= (n) 1)', '(- (n) 2)')})")
+    (tmp_path / "p.pddl").write_text(f"(define (problem p) (:domain d)\n{PAY.format(1)})")
+    with pytest.raises(PDDLError, match=r"domain.pddl:2: action 'work' may cost -1; expected a condition that"):
         load(tmp_path / "p.pddl")
 
 

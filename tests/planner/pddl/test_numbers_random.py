@@ -11,29 +11,36 @@ import random_numeric
 from conftest import thinned
 from direct_search import Answer, Direct, UnsupportedError
 
-from planner import astar, instance, sweep
+from planner import PDDLError, astar, instance, sweep
 from planner.costtogo.number_values import grounded
 from planner.pddl.reader import read
 from planner.pddl.value_ranges import UnprovenError
 
 
-def compared(seed: int, folder: Path, *, free: bool = False, edges: bool = False) -> str:
+def compared(seed: int, folder: Path, *, free: bool = False, edges: bool = False, costs: bool = False) -> str:
     """Compare a random task with the direct search; return how it was solved, or an empty text if it was not."""
-    texts = random_numeric.draw(seed, free=free, edges=edges)
+    texts = random_numeric.draw(seed, free=free, edges=edges, costs=costs)
     direct = Direct(texts.domain, texts.problem)
+    (folder / "domain.pddl").write_text(texts.domain, encoding="utf-8")
+    (folder / "p.pddl").write_text(texts.problem, encoding="utf-8")
     try:
         answer: Answer = direct.search(400)
-    except UnsupportedError:
+    except UnsupportedError as error:
+        if costs and str(error) == "a metric that falls":
+            with pytest.raises(PDDLError, match=r"may cost -|has a cost of -"):
+                grounded(read(instance(folder / "p.pddl")))
         return ""
     if not answer.known or (answer.states is not None and answer.states < 4):
         return ""
-    (folder / "domain.pddl").write_text(texts.domain, encoding="utf-8")
-    (folder / "p.pddl").write_text(texts.problem, encoding="utf-8")
     try:
         made, task = grounded(read(instance(folder / "p.pddl")))
     except UnprovenError:
         assert answer.states is None, "a task with few states is not refused"
         return ""  # its states have no end
+    except PDDLError as error:
+        if costs and re.search("may cost -|has a cost of -", error.message):
+            return ""  # in a state that was not met, or that cannot be reached
+        raise
     if task.beyond:
         cost, plan = astar(task)
         assert answer.states is None, "a task with few states is swept"
@@ -100,3 +107,15 @@ def test_random_tasks_with_what_is_seldom_written(first: int, tmp_path: Path) ->
 @pytest.mark.parametrize("first", range(1_000, 2_000, 100))
 def test_more_random_tasks_with_what_is_seldom_written(first: int, tmp_path: Path) -> None:
     assert sum(bool(compared(seed, tmp_path, edges=True)) for seed in range(first, first + 100)) >= 20
+
+
+@pytest.mark.parametrize("first", thinned(range(0, 60, 10), 3))
+def test_random_tasks_whose_costs_read_numbers(first: int, tmp_path: Path) -> None:
+    """What costs less than nothing is refused, unless a condition excludes it."""
+    assert sum(bool(compared(seed, tmp_path, costs=True)) for seed in range(first, first + 10)) >= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(1_000, 1_500, 100))
+def test_more_random_tasks_whose_costs_read_numbers(first: int, tmp_path: Path) -> None:
+    assert sum(bool(compared(seed, tmp_path, costs=True)) for seed in range(first, first + 100)) >= 20
