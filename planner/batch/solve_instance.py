@@ -28,7 +28,7 @@ from ..pddl.plan_execution import execute
 from ..pddl.reader import Reading, read
 from ..pddl.validation import SecondReader
 from ..system.compiling import compiling
-from ..system.errors import MismatchError
+from ..system.errors import MismatchError, UnsuitedError
 from ..system.files import atomic
 from ..system.limits import (
     LimitError,
@@ -166,8 +166,8 @@ def solve_instance(
         with phases.phase("read"):
             reading = read(instance)
         with ExitStack() as until_solved:
-            second = None  # it would not know what a compilation stands for
-            if not reading.numeric:
+            second = None  # it knows neither what a compilation stands for nor derived predicates
+            if not (reading.numeric or reading.domain.rules):
                 second = until_solved.enter_context(SecondReader(reading, phases.limits()))
             until_solved.enter_context(compiling(lambda _: phases.progress(COMPILING, 0, None)))
             task = _grounded(reading, options, phases)
@@ -410,9 +410,17 @@ def _outcome(task: Task, cost: float, plan: list[str] | None) -> SolveRecord:
 
 
 def _execute(task: Task, record: SolveRecord, phases: _Phases) -> None:
-    """Execute the plan of compiled files by their meaning; raise a `MismatchError` if it costs something else."""
+    """Execute the plan of files that the second reader does not know by their meaning.
+
+    If it costs something else, this raises a `MismatchError`. If that takes too long, the record says so.
+    """
     with phases.phase("validate"):
-        if (cost := float(execute(task.instance, record["plan"]).cost)) != record["cost"]:
+        try:
+            cost = float(execute(task.instance, record["plan"]).cost)
+        except UnsuitedError as error:
+            record["note"] = _joined(record["note"], f"the plan was not executed by the meaning of the files: {error}")
+            return
+        if cost != record["cost"]:
             raise MismatchError(f"{task.instance}: the plan costs {cost:g} by the files, not {record['cost']:g}")
 
 

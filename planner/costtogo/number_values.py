@@ -42,6 +42,10 @@ MOST_SEARCHED = 300_000
 """States that the search for a cheapest plan meets within one trial."""
 MOST_OPERATORS = 15_000
 """No trial is made that is expected to have more operators, since it would take minutes to ground."""
+FACTS = 10
+"""Facts of a compilation, and axioms of its task, that take as long as one operator: relations of several numbers."""
+MOST_FACTS = 40_000
+"""Facts and axioms of a trial after which larger ones are made only if no plan is optimal within this one."""
 TRIAL_SECONDS = 120.0
 """Longest processor time to ground one trial. To reach it is an error."""
 
@@ -69,6 +73,8 @@ class _Trials:
         self._compiler = compiler
         self._limits, self._end = limits, end
         self._most_values = most_values
+        self._unknown: tuple[Compilation, Task] | None = None
+        """The last trial of which it is not known that a cheapest plan leaves it."""
 
     def _left(self) -> Limits:
         """Return the limits of one step."""
@@ -80,9 +86,9 @@ class _Trials:
     def sufficient(self, refusal: UnprovenError) -> tuple[Compilation, Task]:
         """Return the compilation and the task of a trial that suffices; if there is none, raise the refusal."""
         from ..search.search_space import explore  # slow to import, and seldom needed
-        from .trial_states import WatchedStates, stays_within
+        from .trial_states import WatchedStates
 
-        states, open_trials = MOST_STATES, []
+        states, open_trials = MOST_STATES, list[tuple[Compilation, Task]]()
         for trial, compilation, task, decided in self._made():
             if not decided:
                 if not task.beyond:
@@ -100,19 +106,30 @@ class _Trials:
             else:
                 closed = self._compiler.compilation(replace(trial, known=watched.numbers()))
                 return closed, ground(closed, self._left())
-        found = None  # the last trial of which it is not known that a cheapest plan leaves it
-        for compilation, task in open_trials:
-            self._left()  # which raises an error if the caller's time is over
-            stays = stays_within(task, MOST_SEARCHED)
-            if stays is not False:
-                found = compilation, task
-            if stays:
-                break
+            if _facts(compilation, task) > MOST_FACTS and (found := self._optimal(open_trials, refusal)) is not None:
+                return found
+        found = self._optimal(open_trials, refusal) or self._unknown
         if found is None:
             raise refusal
-        compilation, task = found
-        note = f"{refusal.message.partition(';')[0]}: no bound is proven, so that states are solved on demand"
-        return compilation, replace(task, note="; ".join(filter(None, (task.note, note))))
+        return found
+
+    def _optimal(
+        self, open_trials: list[tuple[Compilation, Task]], refusal: UnprovenError
+    ) -> tuple[Compilation, Task] | None:
+        """Return the first trial within which a plan is known to be optimal; no trial is asked twice."""
+        from .trial_states import stays_within
+
+        while open_trials:
+            compilation, task = open_trials.pop(0)
+            self._left()  # which raises an error if the caller's time is over
+            stays = stays_within(task, MOST_SEARCHED)
+            if stays is False:
+                continue
+            said = f"{refusal.message.partition(';')[0]}: no bound is proven, so that states are solved on demand"
+            self._unknown = compilation, replace(task, note="; ".join(filter(None, (task.note, said))))
+            if stays:
+                return self._unknown
+        return None
 
     def _made(self) -> Iterator[tuple[Trial, Compilation, Task, bool]]:
         """Yield the trials, and whether the translator decides that there is no plan within their values.
@@ -135,10 +152,15 @@ class _Trials:
                 tried = f"while {values} values were tried of numbers without a proven bound"
                 raise type(error)(f"{error} {tried}") from None
             yield trial, compilation, task, decided
-            operators = len(task.operators)
-            if values >= self._most_values or operators**2 > MOST_OPERATORS * max(before, operators // 2):
-                return  # the number of operators grows by the same factor as before, at least doubling at first
-            values, before = 2 * values, operators
+            size = len(task.operators) + _facts(compilation, task) // FACTS
+            if values >= self._most_values or size**2 > MOST_OPERATORS * max(before, size // 2):
+                return  # the size grows by the same factor as before, at least doubling at first
+            values, before = 2 * values, size
+
+
+def _facts(compilation: Compilation, task: Task) -> int:
+    """Return how many facts and axioms there are, which the relations of several numbers have."""
+    return len(compilation.reading.problem.facts) + len(task.axioms)
 
 
 def holds_initially(task: Task) -> bool:

@@ -16,7 +16,7 @@ from math import prod
 from ..system.errors import UnsuitedError
 from . import metric, numeric_encoding, numeric_schemas, timed_schemas, value_encoder
 from .conditions import FALSE, TRUE, conjuncts, free_variables, is_numeric, normal_form
-from .declarations import OBJECT, REQUIREMENTS, Symbol, Typed, Types, refuse
+from .declarations import OBJECT, Symbol, Typed, Types, refuse
 from .formulas import LARGEST_COST, Cost, listed, word
 from .instances import Expression
 from .numeric_encoding import EncodedAction
@@ -270,15 +270,10 @@ class Compiler:
             name: root.typed(each) for name, each in self.objects.items()
         }  # in the domain, whose rules name them
         objects.update({name: Typed(name, (encoder.value_type,), place) for name in encoder.objects.values()})
-        requirements = tuple(each for each in domain.requirements if each.word in REQUIREMENTS)
         compiled_domain = Domain(
-            domain.name, requirements, root.types(encoder.value_type),
-            objects, predicates, functions, tuple(entries),
+            domain.name, root.types(encoder.value_type), objects, predicates, functions, tuple(entries)
         )  # fmt: skip
-        asked = Problem(
-            problem.name, tuple(each for each in problem.requirements if each.word in REQUIREMENTS), {}, facts,
-            values, text, problem.metric or place, problem.init,
-        )  # fmt: skip
+        asked = Problem(problem.name, {}, facts, values, text, problem.metric or place, problem.init)
         reading = Reading(self.reading.instance, compiled_domain, asked, root.unions)
         shown = {
             predicate: (name, {each: encoder.shown[each] for each in encoder.objects.values()})

@@ -1,7 +1,8 @@
 """Execution of a plan by the meaning of its files, with exact numbers and durations.
 
-One person does one action after the other. This checks plans of instances that were compiled. It shares nothing with
-the compilation but the reading of words, objects and types: conditions and effects are taken from the files' text.
+One person does one action after the other. This checks plans of instances with numbers, durations or derived
+predicates. It shares nothing with their compilation and search but the reading of words, objects and types: conditions
+and effects are taken from the files' text.
 
 A durative action turns a state s into s1 by its effects at start, and s1 into the next state by those at end. Its
 conditions at start are read in s, those over all and at end in s1. A condition at start of an effect at end is read in
@@ -18,7 +19,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import NamedTuple
 
-from ..system.errors import MismatchError
+from ..system.errors import MismatchError, UnsuitedError
 from . import declarations, instances
 from .declarations import Typed
 from .instances import Expression, Instance
@@ -30,6 +31,8 @@ Scope = Mapping[str, "str | Fraction"]
 """The object of each variable, and the value of `?duration`."""
 
 COMPARISONS = {"=": operator.eq, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+MOST_RULES = 3_000_000
+"""Largest number of times that a rule of a derived predicate is tried with objects, about twenty seconds."""
 CHANGES = ("assign", "increase", "decrease", "scale-up", "scale-down")
 TIMES = (("at", "start"), ("over", "all"), ("at", "end"))
 
@@ -68,7 +71,8 @@ class Executed(NamedTuple):
 def execute(instance: Instance, plan: Sequence[str]) -> Executed:
     """Execute a plan, ground actions as `(name argument ...)`, by the meaning of the files.
 
-    If an action is unknown or not applicable, or the goal does not hold at the end, this raises a `MismatchError`.
+    If an action is unknown or not applicable, or the goal does not hold at the end, this raises a `MismatchError`. An
+    `UnsuitedError` says that derived predicates have too many objects.
     """
     files = _Files(instance)
     state, durations = files.initial, list[Fraction | None]()
@@ -106,6 +110,7 @@ class _Files:
         single = {part.head for part in _functions(domain) if len(part.parts) == 1} - self.objects.keys()
         domain, problem = _bracketed(domain, single), _bracketed(problem, single)
         self._instance = instance
+        self._tried = 0
         self.actions = {
             part.parts[1].word: part for part in domain.parts if part.head in (":action", ":durative-action")
         }
@@ -156,13 +161,20 @@ class _Files:
                     head
                     for rule in self.rules
                     if self._levels[rule.parts[1].head] == level
-                    for scope in self.bindings(rule.parts[1].parts[1:])
+                    for scope in self._counted(self.bindings(rule.parts[1].parts[1:]))
                     if (head := (rule.parts[1].head, *map(str, scope.values()))) not in found
                     and self.holds(rule.parts[2], scope, _Moments(state, state))
                 }
                 grown = bool(new)
                 found |= new
         return _State(frozenset(found), values)
+
+    def _counted(self, scopes: Iterator[dict[str, str | Fraction]]) -> Iterator[dict[str, str | Fraction]]:
+        for scope in scopes:
+            self._tried += 1
+            if self._tried > MOST_RULES:
+                raise UnsuitedError("too many combinations of objects in derived predicates")
+            yield scope
 
     @cached_property
     def _levels(self) -> dict[str, int]:

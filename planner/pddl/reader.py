@@ -60,7 +60,6 @@ class Domain:
     """A domain; `entries` are its actions and rules in the order of the file."""
 
     name: str
-    requirements: tuple[Expression, ...]
     types: Types
     constants: Mapping[str, Typed]
     predicates: Mapping[str, Symbol]
@@ -83,7 +82,6 @@ class Problem:
     """A problem. `metric` and `init` are the places of the metric and of the initial state."""
 
     name: str
-    requirements: tuple[Expression, ...]
     objects: Mapping[str, Typed]
     """Objects, without the domain's constants."""
     facts: Mapping[tuple[str, ...], Place]
@@ -240,7 +238,7 @@ def _domain(file: Path, whole: Expression, unions: dict[tuple[str, ...], str]) -
         elif part.head == ":derived":
             entries.append(_rule(file, part, formulas))
     name = _parts(whole, "domain")[0].word
-    domain = Domain(name, _parts(whole, ":requirements"), types, constants, predicates, functions, tuple(entries))
+    domain = Domain(name, types, constants, predicates, functions, tuple(entries))
     return domain, derived, formulas.numeric
 
 
@@ -343,7 +341,6 @@ def _problem(
     minimized = None if metric is None else _minimized(file, metric, formulas)
     asked = Problem(
         name=_parts(whole, "problem")[0].word,
-        requirements=_parts(whole, ":requirements"),
         objects=objects,
         facts=facts,
         values=values,

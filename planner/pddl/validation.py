@@ -53,9 +53,6 @@ class SecondReader:
         self._process: _Process | None = None
         self._plan: Future[list[str] | None] = Future()
         self._said: Future[str | None] = Future()
-        if rules := reading.domain.rules:  # without the file's path, since records of copies are compared
-            self._said.set_result(f"it knows no derived predicates (line {rules[0].head.place.line} of the domain)")
-            return
         try:
             self._process = _Process.idle(limits)
         except OSError as error:

@@ -1,7 +1,7 @@
 """A domain and a problem, written in a form on which all PDDL readers agree.
 
-Sections are in the order of the grammar. Each type is listed with its supertype, and `object` is not listed unless
-asked for.
+Sections are in the order of the grammar. Requirements, of which the readers know different ones, are left out. Each
+type is listed with its supertype, and `object` is not listed unless asked for.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import groupby
 
-from .declarations import OBJECT, REQUIREMENTS, Symbol, Typed
+from .declarations import OBJECT, Symbol, Typed
 from .instances import Expression
 from .numeric_expressions import as_shown
 from .reader import TOTAL_COST, Action, DurativeAction, Reading, Rule
@@ -20,7 +20,6 @@ def domain(reading: Reading, *, list_object: bool = False) -> str:
     read = reading.domain
     return _defined(
         _list("domain", read.name),
-        *_section(":requirements", (str(each) for each in read.requirements if each.word in REQUIREMENTS)),
         *_section(":types", [*_types(reading), *[OBJECT] * list_object]),
         *_section(":constants", _objects(read.constants.values())),
         _list(":predicates", *(_symbol(each, reading) for each in read.predicates.values())),
@@ -39,7 +38,6 @@ def problem(reading: Reading) -> str:
     return _defined(
         _list("problem", read.name),
         _list(":domain", reading.domain.name),
-        *_section(":requirements", (str(each) for each in read.requirements if each.word in REQUIREMENTS)),
         *_section(":objects", _objects(read.objects.values())),
         _list(
             ":init",

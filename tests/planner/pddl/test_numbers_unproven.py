@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from planner import LimitError, Limits, PDDLError, Task, astar, cost_to_go, instance, load, sweep
-from planner.pddl.compilation import compiled
+from planner.costtogo import number_values
+from planner.pddl.compilation import Compilation, compiled
 from planner.pddl.reader import read
+from planner.system.limits import NO_LIMITS
 
 FREE = """(:functions (n)) (:action up :parameters () :effect (increase (n) 2))
   (:action down :parameters () :effect (decrease (n) 3))"""
@@ -135,3 +137,32 @@ def test_a_requirement_that_is_not_used_is_accepted(unused: str, tmp_path: Path)
     domain = file.with_name("domain.pddl")
     domain.write_text(domain.read_text().replace(":fluents", f":fluents {unused}"))
     assert read(instance(file)).numeric
+
+
+def test_numbers_compared_with_each_other_are_not_tried_in_vain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A relation of two numbers grows with the square of their values: facts count as operators do."""
+    made = list[int]()
+    grounded = number_values.ground
+
+    def ground(compilation: Compilation, limits: Limits = NO_LIMITS) -> Task:
+        made.append(len(compilation.reading.problem.facts))
+        return grounded(compilation, limits)
+
+    monkeypatch.setattr(number_values, "ground", ground)
+    counters = """(:functions (n) (m)) (:predicates (done))
+      (:action more :effect (increase (n) 1)) (:action less :effect (decrease (n) 1))
+      (:action longer :effect (increase (m) 1)) (:action shorter :effect (decrease (m) 1))
+      (:action finish :precondition (= (n) 2000) :effect (done))"""
+    apart = "(:init (= (n) 0) (= (m) 0)) (:goal (and (> (- (n) (m)) 6) {}))"
+    with monkeypatch.context() as few:
+        few.setattr(number_values, "MOST_FACTS", 1_000)
+        task = load(written(tmp_path, counters, apart.format("(< (n) 9)")))
+    assert (task.beyond != (), astar(task)[0]) == (True, 7)
+    assert max(made) < 4_000  # as many as the first trial with more than 1,000 has, in which the plan was found
+    made.clear()
+    monkeypatch.setattr(number_values, "MOST_OPERATORS", 150)
+    with pytest.raises(PDDLError, match=r"\(n\) grows without a limit \(more\)"):
+        load(written(tmp_path, counters, apart.format("(done)")))
+    assert max(made) < 1_000
