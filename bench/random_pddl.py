@@ -6,8 +6,8 @@ Each instance has a number, which is the seed of everything in it: a small task 
 files (`random_writing.py`), and a fault in every second one. The task is grounded and solved by brute force from what
 was drawn, not from the files. Without a fault, the files must be read. This project's cost and number of reachable
 states must then agree with brute force, as must Dijkstra's algorithm on the translator's grounded task with
-`planner.grounding.semantics`. With a fault, the files must be refused with file and line, or have the same answer if
-the fault is harmless.
+`planner.grounding.semantics`, and the plan's cost when it is executed by the meaning of the files. With a fault, the
+files must be refused with file and line, or have the same answer if the fault is harmless.
 Anything else is a violation; it is printed, and the exit code is 1.
 """
 
@@ -33,6 +33,7 @@ from tables import Columns, cell, record_option, write_record
 
 from planner import Instance, PDDLError, Task, astar, load, sweep
 from planner.grounding.semantics import derived, replay, successors
+from planner.pddl.plan_execution import execute
 
 
 @dataclass
@@ -81,7 +82,8 @@ def compare(instance: Instance, truth: random_tasks.Answer) -> tuple[str | None,
         found = float(table[table.initial])
         if len(table) != truth.states:
             return task.note, f"{len(table)} states, {truth.states} by brute force"
-        if (plan := table.optimal_plan()) is not None and replay(task, plan) != found:
+        plan = table.optimal_plan()
+        if plan is not None and not replay(task, plan) == execute(instance, plan).cost == found:
             return task.note, f"a plan of another cost than {found}"
         if (oracle := dijkstra(task)) != found:
             return task.note, f"cost {found}, {oracle} by Dijkstra on the grounded task"

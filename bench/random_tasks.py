@@ -175,6 +175,9 @@ def _draw(hand: _Hand) -> Drawn:
                     _atom(hand, shell, (*scope, ("?w", predicates[derived][0])), basic, constants),
                 ),
             )
+            if int(derived[1:]) % 2:  # for all objects
+                beside = _formula(hand, shell, (*scope, ("?w", predicates[derived][0])), basic, constants, 1)
+                other = ("forall", (("?w", predicates[derived][0]),), ("imply", beside, (derived, "?w")))
             body = ("or", body, other)
         rule = derived, scope, body
     actions = tuple(_action(hand, shell, f"a{n}", predicates, basic, constants) for n in range(hand.rng.integers(2, 5)))

@@ -58,7 +58,7 @@ def digest(instance: Instance, most_values: int) -> str:
     """
     import importlib.metadata
 
-    found = hashlib.sha256(f"7 {most_values} {version()} {importlib.metadata.version('unified-planning')}".encode())
+    found = hashlib.sha256(f"8 {most_values} {version()} {importlib.metadata.version('unified-planning')}".encode())
     for file in (instance.domain, instance.problem):
         found.update(hashlib.sha256(file.read_bytes()).digest())
     return found.hexdigest()
@@ -218,11 +218,7 @@ def _refused(reading: Reading, code: int, output: str) -> PDDLError:
     """Return the error for a task that the translator refuses although it has passed all checks."""
     if "not stratifiable" in output:
         line = next((rule.head.place.line for rule in reading.domain.rules), None)
-        return PDDLError(
-            reading.instance.domain,
-            line,
-            "derived predicates depend on their own negation, or on themselves within (forall ...)",
-        )
+        return PDDLError(reading.instance.domain, line, "derived predicates depend on their own negation")
     fault = re.search(r"^(\w+(?:Error|Exception))\b", output, re.M)
     kind = f" ({fault[1]})" if fault else ""
     return PDDLError(

@@ -17,6 +17,7 @@ from .formulas import TIMES, listed, word
 from .instances import Expression
 from .numeric_expressions import terms_of
 from .reader import Action, DurativeAction, Reading, Rule
+from .recursion import without_recursive_quantifiers
 from .value_sets import Trial
 
 MOST_VALUES = 1_000
@@ -78,7 +79,7 @@ class Compiler:
     """
 
     def __init__(self, reading: Reading, most_values: int = MOST_VALUES) -> None:
-        self.reading = reading
+        self.reading = reading = without_recursive_quantifiers(reading)
         self._numeric = numeric_compiler.Compiler(reading, most_values) if reading.numeric else None
 
     def compilation(self, trial: Trial | None = None) -> Compilation:

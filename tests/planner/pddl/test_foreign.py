@@ -11,6 +11,7 @@ from conftest import write_instance
 from planner import MismatchError, load, sweep, verify
 from planner.batch.solve_instance import solve_instance
 from planner.grounding.semantics import replay
+from planner.pddl import plan_execution
 
 # Wires between places are closed and opened; a lamp is lit if a closed path connects it to the source.
 POWER = """(define (domain power) (:requirements :strips :typing :derived-predicates)
@@ -66,6 +67,7 @@ FOREIGN = {
 CHECKED = {
     "a predicate declared twice": walk(predicates="(next ?a ?b - object)"),
     "an argument's name twice": walk(predicates="(far ?a ?a)", init="(far p1 p4)"),
+    "requirements that it does not know": walk(requirements=":adl :derived-predicates :negation"),
     "a variable glued to its type": (
         TYPED.format("?a - place?b - place", "", "?a").replace("at ?", "at?"),
         WALK_PROBLEM.format(objects="p1 p2 p3 p4 - place", init="", goal=""),
@@ -96,8 +98,7 @@ def test_derived_predicates(tmp_path: Path) -> None:
     record = solve_instance(instance)
     assert record["status"] == "solved", record["error"]
     assert record["method"] == "sweep"
-    line = POWER.split("(:derived")[0].count("\n") + 1
-    assert f"it knows no derived predicates (line {line} of the domain)" in record["note"]
+    assert record["note"] is None
     table = sweep(load(instance))
     assert verify(table, 10, np.random.default_rng(0)) == 10
     assert replay(table.task, record["plan"]) == record["cost"] == table[table.initial]
@@ -108,3 +109,54 @@ def test_derived_predicates(tmp_path: Path) -> None:
         replay(table.task, record["plan"][:-1])
     with pytest.raises(MismatchError, match="no action"):
         replay(table.task, ["(fly a b)"])
+
+
+def test_the_plan_with_derived_predicates_is_executed_by_the_meaning_of_the_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """unified-planning knows no derived predicates."""
+    instance = write_instance(tmp_path, POWER, POWER_PROBLEM)
+    monkeypatch.setattr(plan_execution, "MOST_RULES", 1)
+    note = solve_instance(instance)["note"]
+    assert note == "the plan was not executed by the meaning of the files: too many combinations of objects in " + (
+        "derived predicates"
+    )
+    monkeypatch.undo()
+
+    def without_rules(_: object, atoms: set[plan_execution.Term], values: object) -> object:
+        return plan_execution._State(frozenset(atoms), values)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(plan_execution._Files, "_derived", without_rules)
+    record = solve_instance(instance)
+    assert record["status"] == "invalid"
+    assert "is not applicable" in record["error"]["message"]
+
+
+KITS = """(define (domain kits) (:requirements :adl :typing :derived-predicates) (:types part)
+  (:predicates (have ?p - part) (sub ?s ?p - part) (kit ?p - part) (ready ?p - part))
+  (:derived (ready ?p - part) (or (have ?p) (and (kit ?p) READY)))
+  (:action fetch :parameters (?p - part) :precondition (and (not (kit ?p)) (not (have ?p))) :effect (have ?p))
+  (:action lose :parameters (?p - part) :precondition (have ?p) :effect (not (have ?p))))"""
+KITS_PROBLEM = """(define (problem p) (:domain kits) (:objects a b c d e f - part)
+  (:init (kit a) (kit b) (kit f) (sub b a) (sub c a) (sub d b) (sub e b) (sub f f))
+  (:goal (and (ready a) GOAL)))"""
+
+
+@pytest.mark.parametrize("ready", [
+    "(forall (?s - part) (imply (sub ?s ?p) (ready ?s)))",
+    "(not (exists (?s - part) (and (sub ?s ?p) (not (ready ?s)))))",
+    "(forall (?s ?q - part) (or (not (= ?q ?p)) (not (sub ?s ?q)) (exists (?t - part) (and (= ?t ?s) (ready ?t)))))",
+    "(forall (?s - part) (or (not (sub ?s ?p)) (forall (?t - part) (imply (= ?t ?s) (ready ?t)))))",
+])  # fmt: skip
+def test_a_kit_is_ready_if_all_its_parts_are(tmp_path: Path, ready: str) -> None:
+    """a has b and c, and b has d and e: c, d and e are fetched. f is a part of itself, and never ready."""
+    domain = KITS.replace("READY", ready)
+    instance = write_instance(tmp_path, domain, KITS_PROBLEM.replace("GOAL", ""))
+    record = solve_instance(instance)
+    assert (record["status"], record["cost"], record["note"]) == ("solved", 3, None), record["error"]
+    assert record["verified"] == record["consistent"] == record["states"] == 8
+    facts = {fact for each in load(instance).variables for fact in each.facts}
+    for impossible in ("(ready f)", "(not (ready d))"):
+        record = solve_instance(write_instance(tmp_path, domain, KITS_PROBLEM.replace("GOAL", impossible)))
+        assert record["status"] == "unsolvable", record["error"]
+    assert {"Atom ready(a)", "Atom have(c)"} <= facts

