@@ -36,6 +36,7 @@ ASTAR = "astar(landmark_cost_partitioning(lm_rhw()))"
 ASTAR_WITH_AXIOMS = "astar(blind())"
 
 EXIT_UNSOLVABLE = {10, 11}  # found by the translator, proven by the search
+EXIT_NOT_READ = 31  # by the translator, whose last lines say why
 EXIT_OUT_OF_MEMORY = {20, 22}
 EXIT_OUT_OF_TIME = {21, 23}
 
@@ -219,6 +220,16 @@ def _refused(reading: Reading, code: int, output: str) -> PDDLError:
     if "not stratifiable" in output:
         line = next((rule.head.place.line for rule in reading.domain.rules), None)
         return PDDLError(reading.instance.domain, line, "derived predicates depend on their own negation")
+    if code == EXIT_NOT_READ:
+        *where, said = re.split(r"^\s*->", output, flags=re.M)
+        reason = "; ".join(line.strip().rstrip(".") for line in said.splitlines()[bool(where) :] if line.strip())
+        action = next(
+            (reading.domain.actions.get(name) for name in re.findall(r"->Parsing action '(.*)'", output)), None
+        )
+        file, place = reading.instance.problem, None
+        if action is not None or "Parsing domain" in where[0]:
+            file, place = reading.instance.domain, None if action is None else action.place.line
+        return PDDLError(file, place, f"Fast Downward's translator does not read this task: {reason}")
     fault = re.search(r"^(\w+(?:Error|Exception))\b", output, re.M)
     kind = f" ({fault[1]})" if fault else ""
     return PDDLError(

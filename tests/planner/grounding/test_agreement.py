@@ -9,8 +9,10 @@ import pytest
 from conftest import write_instance
 from test_reading import DOMAIN, PROBLEM, RULE
 
-from planner import PDDLError, Task, load, sweep
+from planner import PDDLError, Task, instance, load, sweep
 from planner.grounding import translation
+from planner.grounding.fast_downward import translate
+from planner.pddl.formulas import listed
 from planner.pddl.reader import Reading, read
 
 
@@ -84,3 +86,15 @@ def test_a_variable_like_the_translators_own_does_not_make_a_task_decided(tmp_pa
     assert [variable.facts for variable in task.variables] == [("Atom dummy(val1)", "Atom dummy(val2)")]
     assert not task.decided_by_translator
     assert sweep(task).h.tolist() == [1, 0]
+
+
+def test_what_the_translator_says_of_a_text_that_it_does_not_read_is_shown_with_the_line_of_the_action() -> None:
+    reading = read(instance("kitting/tiny"))
+    undeclared = replace(reading, domain=replace(reading.domain, predicates={}))
+    with pytest.raises(PDDLError, match="does not read this task: Expected logical operator or predicate") as error:
+        translate(undeclared)
+    first = next(iter(reading.domain.actions.values()))
+    assert (error.value.file.name, error.value.line) == ("domain.pddl", first.place.line)
+    without_goal = replace(reading, problem=replace(reading.problem, goal=listed()))
+    with pytest.raises(PDDLError, match=r"tiny.pddl: Fast Downward's translator does not read this task: The def"):
+        translate(without_goal)
