@@ -2,24 +2,32 @@
 
 The goals are those of problem files that differ in nothing else. One forward search finds the states, and a backward
 search for each goal computes the cost-to-go. The translator may order variables by the goal, so that goals are
-translated by the meaning of their facts. If a goal changes the grounding itself, as one with quantifiers or
-disjunctions does, its task is swept by itself, and its table numbers the states in its own way.
+translated by the meaning of their facts. Of a goal with disjunctions or quantifiers it makes a derived variable, which
+nothing else reads: the states are then enumerated with the derived variables of all goals. For a negation it divides
+variables, so that the files are grounded anew, with a derived predicate as the goal. If a goal changes more than that,
+as comparisons of numbers do, or if operators read derived variables, a task is swept by itself, and its table numbers
+the states in its own way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..grounding.task import Effect, Fact, Task
+from ..grounding.task import Effect, Fact, Operator, Task
+from ..pddl.compilation import with_derived_goal
 from ..pddl.instances import PDDLError
+from ..pddl.reader import read
 from ..search.numbering import SweepOptions
 from ..search.search_space import distances
 from ..search.state_space import StateSpace
-from ..system.limits import Budget, Deadline, processors
+from ..system.limits import Budget, Deadline, Limits, processors
 from ..system.progress import Wanted, shows_progress
 from .load import task_of
+from .number_values import grounded
 from .table import Table, explored, require_sweepable
 
 if TYPE_CHECKING:
@@ -61,28 +69,47 @@ def sweep_goals(
         raise TypeError(f"tasks {tasks!r}: expected a list of tasks, one for each goal")
     loaded = [task_of(task) for task in tasks]
     require_same_states(loaded)
-    budget = Budget.within(max_states, deadline=Deadline.after(time_limit).at)
+    deadline = Deadline.after(time_limit)
+    budget = Budget.within(max_states, deadline=deadline.at)
     threads = threads or processors()
-    enumerated: list[tuple[Task, list[tuple[int, Task]]]] = []  # first task of each enumeration, and its members
-    for place, task in enumerate(loaded):
+    for task in loaded:
         require_sweepable(task)
-        for head, members in enumerated:
-            goal = _translated(task, head)
-            if goal is not None:
-                members.append((place, replace(head, goal=goal, instance=task.instance, note=task.note)))
-                break
-        else:
-            enumerated.append((task, [(place, task)]))
+    alike = _alike(loaded)
+    if len(alike) > 1 and all(task.instance.problem.is_file() for task in loaded):
+        seconds = None if deadline.at == math.inf else max(0.01, deadline.at - time.monotonic())
+        limits = Limits(seconds)
+        derived = [_with_derived_goal(task, limits) for task in loaded]
+        if len(groups := _alike(derived)) < len(alike):
+            loaded, alike = derived, groups
     tables: dict[int, Table] = {}
-    for head, members in enumerated:
+    for places in alike:
+        members = _joined([loaded[place] for place in places])
+        head = members[0]
         space, note = explored(head, budget, threads, progress, SweepOptions())
-        for place, task in members:
+        for place, task in zip(places, members, strict=True):
             distance = distances(space, task.goal, budget, threads, progress)
             budget = budget.beside(distance.nbytes)
             states = StateSpace(task, len(distance), space.initial, space.transitions, space.index, budget.check_memory)
             tables[place] = Table(states, distance, note)
         budget = budget.beside(space.nbytes)
     return [tables[place] for place in range(len(loaded))]
+
+
+def _alike(tasks: Sequence[Task]) -> list[list[int]]:
+    """Return the places of tasks with the same grounding, apart from derived variables that no operator reads."""
+    found: dict[object, list[int]] = {}
+    for place, task in enumerate(tasks):
+        found.setdefault(_grounded(task) or place, []).append(place)
+    return list(found.values())
+
+
+def _with_derived_goal(task: Task, limits: Limits) -> Task:
+    """Return the task of the same files whose goal is a derived predicate; the task itself if there is none."""
+    try:
+        found = grounded(with_derived_goal(read(task.instance)), limits)[1]
+    except PDDLError:
+        return task
+    return task if found.decided_by_translator or found.beyond else replace(found, note=task.note)
 
 
 def require_same_states(tasks: Sequence[Task]) -> None:
@@ -118,22 +145,69 @@ def _signature(task: Task) -> tuple[frozenset[str], frozenset[str], frozenset[st
     )
 
 
-def _translated(task: Task, head: Task) -> tuple[Fact, ...] | None:
-    """Return a task's goal in the facts of another task, or None if their groundings differ in more than the order."""
-    if task.axioms or head.axioms or _grounded(task) != _grounded(head):
-        return None
-    places = {
+def _joined(tasks: Sequence[Task]) -> list[Task]:
+    """Return tasks of one grounding as tasks with the same variables, operators and axioms, and with their own goals.
+
+    The variables are those of the first task that are not derived, and then the derived ones of all.
+    """
+    if len(tasks) == 1:
+        return list(tasks)
+    head = tasks[0]
+    kept = [number for number, variable in enumerate(head.variables) if variable.axiom_layer < 0]
+    variables, initial = [head.variables[number] for number in kept], [head.initial[number] for number in kept]
+    known = {
         (frozenset(variable.facts), fact): (number, value)
-        for number, variable in enumerate(head.variables)
+        for number, variable in enumerate(variables)
         for value, fact in enumerate(variable.facts)
     }
-    own = task.variables
-    return tuple(places[frozenset(own[variable].facts), own[variable].facts[value]] for variable, value in task.goal)
+    goals, axioms, operators = list[tuple[Fact, ...]](), list[Effect](), tuple[Operator, ...]()
+    for task in tasks:
+        places: dict[Fact, Fact] = {}
+        for number, (variable, first) in enumerate(zip(task.variables, task.initial, strict=True)):
+            for value, fact in enumerate(variable.facts):
+                derived = len(variables), value
+                places[number, value] = derived if variable.axiom_layer >= 0 else known[frozenset(variable.facts), fact]
+            if variable.axiom_layer >= 0:
+                variables.append(replace(variable, name=f"var{len(variables)}"))
+                initial.append(first)
+
+        def moved(facts: Iterable[Fact], places: Mapping[Fact, Fact] = places) -> tuple[Fact, ...]:
+            return tuple(places[fact] for fact in facts)
+
+        def effect(one: Effect, places: Mapping[Fact, Fact] = places) -> Effect:
+            return Effect(moved(one.conditions, places), *places[one.variable, one.value])
+
+        goals.append(moved(task.goal))
+        axioms += map(effect, task.axioms)
+        operators = operators or tuple(
+            Operator(one.action, moved(one.preconditions), tuple(map(effect, one.effects))) for one in task.operators
+        )
+    mutexes = tuple(
+        tuple((kept.index(variable), value) for variable, value in group) for group in head.mutexes
+        if all(variable in kept for variable, _ in group)
+    )  # fmt: skip
+    whole = replace(
+        head, variables=tuple(variables), initial=tuple(initial), operators=operators, axioms=tuple(axioms),
+        mutexes=mutexes, goal=goals[0],
+    )  # fmt: skip
+    return [
+        replace(whole, goal=goal, instance=task.instance, note=task.note)
+        for goal, task in zip(goals, tasks, strict=True)
+    ]
 
 
-def _grounded(task: Task) -> frozenset[tuple[object, ...]]:
-    """Return the variables and operators of a task by their meanings, whatever their order."""
+def _grounded(task: Task) -> frozenset[tuple[object, ...]] | None:
+    """Return the variables and operators of a task by their meanings, whatever their order, without what is derived.
+
+    None if operators read derived variables.
+    """
     every = [frozenset(variable.facts) for variable in task.variables]
+    derived = {number for number, variable in enumerate(task.variables) if variable.axiom_layer >= 0}
+    for one in task.operators:
+        read = {variable for variable, _ in one.preconditions}
+        read.update(variable for effect in one.effects for variable, _ in effect.conditions)
+        if read & derived:
+            return None
 
     def meanings(facts: Iterable[Fact]) -> frozenset[Meaning]:
         return frozenset((every[variable], task.variables[variable].facts[value]) for variable, value in facts)
@@ -150,4 +224,5 @@ def _grounded(task: Task) -> frozenset[tuple[object, ...]]:
         )
         for one in task.operators
     ]
-    return frozenset([(task.unit,), *((facts,) for facts in every), *operators])
+    primary = ((facts,) for number, facts in enumerate(every) if number not in derived)
+    return frozenset([(task.unit,), *primary, *operators])

@@ -127,6 +127,23 @@ def _compared(condition: Expression) -> set[str]:
     return set()
 
 
+def with_derived_goal(reading: Reading) -> Reading:
+    """Return a reading whose goal is a derived predicate, so that it changes nothing else in the grounded task."""
+    domain, place = reading.domain, reading.problem.init
+    head = Symbol("new-axiom@goal", (), place)  # its facts are not shown, as those of the translator
+    goal = Rule(head, reading.problem.goal)
+    return replace(
+        reading,
+        domain=replace(
+            domain,
+            constants={**domain.constants, **reading.problem.objects},  # which the rule names
+            predicates={**domain.predicates, head.name: head},
+            entries=(*domain.entries, goal),
+        ),
+        problem=replace(reading.problem, objects={}, goal=listed(word(head.name))),
+    )
+
+
 def compiled(reading: Reading, *, most_values: int = MOST_VALUES) -> Compilation:
     """Return the compilation of an instance whose numbers have proven bounds; a classical instance is its own."""
     return Compiler(reading, most_values).compilation()
