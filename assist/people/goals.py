@@ -174,7 +174,7 @@ class Goals:
             if table.space.numbering is not first.space.numbering:
                 raise ValueError(
                     f"goal '{name}' has states of its own, as its table is of another call of `sweep_goals`, or as the "
-                    "goal has `or`, `not`, `exists`, `forall` or numbers; expected facts that all have to hold"
+                    "goal compares numbers, or actions read derived predicates; expected a goal of facts"
                 )
             h = table.lookup([table.initial])[0]
             if not 0 < h < np.inf:

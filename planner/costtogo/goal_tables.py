@@ -104,9 +104,14 @@ def _alike(tasks: Sequence[Task]) -> list[list[int]]:
 
 
 def _with_derived_goal(task: Task, limits: Limits) -> Task:
-    """Return the task of the same files whose goal is a derived predicate; the task itself if there is none."""
+    """Return the task of the same files whose goal is a derived predicate; the task itself if there is none.
+
+    There is none either if the task is not that of its files, as one with another goal that was made in Python.
+    """
     try:
-        found = grounded(with_derived_goal(read(task.instance)), limits)[1]
+        reading = read(task.instance)
+        same = replace(grounded(reading, limits)[1], note=task.note) == task
+        found = grounded(with_derived_goal(reading), limits)[1] if same else task
     except PDDLError:
         return task
     return task if found.decided_by_translator or found.beyond else replace(found, note=task.note)

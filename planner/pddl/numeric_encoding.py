@@ -276,7 +276,7 @@ def goal(encoder: Encoder, condition: Expression, place: Place) -> tuple[Express
                 return FALSE
             if len(true) == 1:
                 return scope.fact(term, encoder.object_of(true[0], fluent))
-        name = encoder.fresh(f"goal-{len(rules) + 1}")
+        name = encoder.fresh(f"new-axiom@goal-{len(rules) + 1}")  # facts of such names are not shown
         rules.append((name, scope.formula(each)))
         return listed(word(name))
 

@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import graph_task
+from conftest import graph_task, write_instance
 
-from planner import Instance, LimitError, Limits, MismatchError, OnDemand, Table, Task, astar, sweep, verify
+from planner import (
+    Instance,
+    LimitError,
+    Limits,
+    MismatchError,
+    OnDemand,
+    Table,
+    Task,
+    astar,
+    load,
+    sweep,
+    sweep_goals,
+    verify,
+)
 from planner.costtogo import verification
 from planner.costtogo.cost_to_go import optimal_choices
 from planner.costtogo.verification import check_successors
@@ -250,3 +264,59 @@ def test_large_costs_are_right_or_refused(costs: tuple[int, int, int], right: bo
     else:
         with pytest.raises(LimitError, match="Fast Downward"):
             astar(task)
+
+
+MOVES = """(define (domain d) (:requirements :adl :typing) (:types box place)
+  (:predicates (at ?b - box ?p - place) (full ?p - place) (seen ?b - box))
+  (:action move :parameters (?b - box ?p ?q - place) :precondition (and (at ?b ?p) (not (full ?q)) (not (= ?p ?q)))
+    :effect (and (not (at ?b ?p)) (at ?b ?q) (not (full ?p)) (full ?q)))
+  (:action look :parameters (?b - box) :precondition (not (seen ?b)) :effect (seen ?b)))"""
+BOXES = """(define (problem p) (:domain d) (:objects a b - box x y z w - place)
+  (:init (at a x) (at b y) (full x) (full y)) (:goal {}))"""
+OF_BOXES = [
+    "(at a z)", "(or (at a w) (and (at b x) (seen a)))", "(not (at a x))", "(and (not (at a x)) (seen b))",
+    "(exists (?p - place) (and (at a ?p) (at b ?p)))", "(forall (?b - box) (or (seen ?b) (at ?b w)))",
+    "(imply (at a x) (seen b))",
+]  # fmt: skip
+COUNTS = """(define (domain d) (:requirements :adl :fluents) (:functions (n)) (:predicates (q))
+  (:action up :parameters () :precondition (< (n) 6) :effect (increase (n) 1))
+  (:action down :parameters () :precondition (> (n) 0) :effect (decrease (n) 1))
+  (:action q :parameters () :effect (q)))"""
+NUMBER = "(define (problem p) (:domain d) (:init (= (n) 2)) (:goal {}))"
+OF_COUNTS = ["(and (q) (= (n) 5))", "(>= (n) 4)", "(not (<= (n) 3))", "(or (q) (> (n) 5))"]
+
+
+def costs_by_facts(table: Table) -> dict[tuple[str, ...], float]:
+    found = {tuple(table.space.facts(state)): table[state] for state in range(len(table))}
+    assert len(found) == len(table)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("domain", "problem", "goals"), [(MOVES, BOXES, OF_BOXES), (COUNTS, NUMBER, OF_COUNTS)], ids=["facts", "numbers"]
+)
+def test_goals_of_any_form_have_tables_on_one_enumeration(
+    domain: str, problem: str, goals: list[str], tmp_path: Path
+) -> None:
+    """Each table is that of a sweep of its goal alone, state by state, and what A* finds."""
+    tasks = []
+    for number, goal in enumerate(goals):
+        (tmp_path / str(number)).mkdir()
+        tasks.append(load(write_instance(tmp_path / str(number), domain, problem.format(goal))))
+    tables = sweep_goals(tasks)
+    assert len({id(table.space.numbering) for table in tables}) == 1
+    for task, table in zip(tasks, tables, strict=True):
+        assert costs_by_facts(table) == costs_by_facts(sweep(task))
+        assert verify(table, 5, np.random.default_rng(0)) == 5
+
+
+def test_a_goal_that_was_made_in_python_is_not_read_from_its_file(tmp_path: Path) -> None:
+    tasks = []
+    for number, goal in enumerate(["(at a z)", "(not (at a x))"]):
+        (tmp_path / str(number)).mkdir()
+        tasks.append(load(write_instance(tmp_path / str(number), MOVES, BOXES.format(goal))))
+    variable = next(n for n, each in enumerate(tasks[0].variables) if "Atom seen(b)" in each.facts)
+    seen = replace(tasks[0], goal=((variable, tasks[0].variables[variable].facts.index("Atom seen(b)")),))
+    table = sweep_goals([seen, tasks[1]])[0]
+    assert table[table.initial] == 1
+    assert costs_by_facts(table) == costs_by_facts(sweep(seen))
