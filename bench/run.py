@@ -61,6 +61,10 @@ CASES = {
         "--populations 1",
         "--instance kitting/tiny --people 4 --populations 1 --suggestions 8 --setting constant",
     ),
+    "trust_recovery misjudged": (
+        "--people 9 --populations 2",
+        "--instance kitting/tiny --people 3 --populations 2",
+    ),
     "pairs": (". --pairs 1 --only rate --only environments", ". --smallest"),
     "orbits": ("kitting/ladder-4x8 --compare 5 --seconds 5", "kitting/tiny --compare 1"),
     "observed": ("", "kitting/tiny stations/one-way --limit 1"),

@@ -2,11 +2,15 @@
 
     python bench/trust_recovery.py coverage [--people N] [--populations N] [--suggestions N] [--record FILE]
     python bench/trust_recovery.py choice   [--people N] [--populations N] [--suggestions N] [--record FILE]
+    python bench/trust_recovery.py misjudged [--people N] [--populations N] [--record FILE]
 
 logit(theta_0) has mean 0.7 and standard deviation 1.4 over people; log(beta) has mean 0 and standard deviation 0.5.
 Half of the actions have a suggestion, and half of the suggestions are optimal choices, the others random ones. People
 know the cost-to-go, and theta is carried from episode to episode. `coverage` counts how many 95 % intervals hold the
 true value. `choice` counts how often `compare rules` names the true rule.
+
+`misjudged` simulates people who misjudge costs, and whose theta moves by equation (7) and begins anew in each of four
+tasks. The rule is fitted as if they knew the costs: with theta that begins anew, and with theta that is carried.
 """
 
 from __future__ import annotations
@@ -16,12 +20,14 @@ from typing import Any
 
 import click
 import numpy as np
+from neighbours import ToAnybody
 from simulated_people import People, observed, record_with_trust
 from tables import cell, record_option, write_record
 
-from assist.learning import Observations
+from assist.learning import Observations, replayed
 from assist.learning.held_out import compare_rules
 from assist.learning.trust_fit import fit_influence
+from assist.people.ranges import Population
 from assist.people.trust_rules import (
     LEAST,
     EquationSeven,
@@ -31,7 +37,11 @@ from assist.people.trust_rules import (
     outcome,
     outcome_at_disagreement,
 )
-from planner import CostToGo, cost_to_go, load
+from assist.person.settings import Setting
+from assist.team.pool import Pool
+from assist.team.simulate import simulate
+from assist.team.trace import Trace
+from planner import CostToGo, cost_to_go, load, sweep
 
 SETTINGS: dict[str, tuple[str, TrustRule]] = {
     "constant": ("constant", constant()),
@@ -66,6 +76,15 @@ COVERAGE = {
 CHOICE = {
     "rule": cell("rule"), "populations": cell("populations", ","), "minus constant": cell("difference", "+.4f"),
     "rightly chosen (%)": cell("right", ".0f"), "chosen": cell("chosen"),
+}  # fmt: skip
+
+
+MISJUDGED = {
+    "sigma": cell("sigma", "g"), "populations": cell("populations"), "people": cell("people"),
+    "mean theta at first": cell("true", ".2f"), "estimate": cell("theta", ".2f", "theta_sd"),
+    "true eta": cell("eta", "g"), "estimate of eta": cell("rate", ".2f", "rate_sd"),
+    "estimate, carried": cell("carried", ".2f"), "eta, carried": cell("carried_rate", ".2f"),
+    "log likelihood, anew minus carried": cell("gain", ".1f"),
 }  # fmt: skip
 
 
@@ -167,6 +186,40 @@ def choice(
         })  # fmt: skip
         click.echo("  ".join(show(rows[-1]) for show in CHOICE.values()))
     write_record(record, CHOICE, rows)
+
+
+@main.command()
+@click.option("--people", type=click.IntRange(3), default=30, show_default=True)
+@click.option("--populations", type=click.IntRange(2), default=4, show_default=True)
+@click.option("--instance", default="kitting/paper", show_default=True)
+@record_option
+def misjudged(people: int, populations: int, instance: str, record: Path | None) -> None:
+    """Fit equation (7) to people who misjudge costs."""
+    task, eta, rows = sweep(load(instance)), 0.2, []
+    setting = Setting(c_suggest=0.0, c_move=0.0, knowledge="exact", trust="paper", eta=eta, max_steps=60)
+    for sigma in (0.0, 0.5, 1.0):
+        each = []
+        for number in range(populations):
+            population = Population(beta=(0.3, 2.0), theta=(0.3, 0.9), sigma=(sigma, sigma))
+            pool, trace = Pool.sample(task, people, seed=number, setting=setting, population=population), Trace()
+            order = np.random.default_rng(number).permuted(np.tile(np.arange(people), (4, 1)), axis=1)
+            teams = order[:, : people // 3 * 3].reshape(-1, 3)
+            _ = simulate(pool, ToAnybody(number), humans=teams, episodes=len(teams), seed=number, trace=trace)
+            log = replayed(task, trace)
+            anew, carried = (fit_influence(log, "paper", carry=carry) for carry in (False, True))
+            each.append([
+                np.mean([person.theta for person in pool.people]), np.mean([one.theta_first for one in anew.people]),
+                anew.parameters["eta"], np.mean([one.theta_first for one in carried.people]),
+                carried.parameters["eta"], anew.log_likelihood - carried.log_likelihood,
+            ])  # fmt: skip
+        mean, sd = np.mean(each, axis=0).tolist(), np.std(each, axis=0, ddof=1).tolist()
+        names = ("true", "theta", "rate", "carried", "carried_rate", "gain")
+        rows.append(
+            {"sigma": sigma, "populations": populations, "people": people, "eta": eta, "theta_sd": sd[1]}
+            | {"rate_sd": sd[2]} | dict(zip(names, mean, strict=True))
+        )  # fmt: skip
+        click.echo("  ".join(show(rows[-1]) for show in MISJUDGED.values()))
+    write_record(record, MISJUDGED, rows)
 
 
 if __name__ == "__main__":

@@ -87,6 +87,8 @@ class InfluenceFit(Result):
         Marginal log likelihood of all choices.
     carried : bool
         Whether theta is carried from episode to episode.
+    log_likelihood_anew : float or None
+        The largest one if theta begins anew in each episode; None unless it is carried, by people with several.
     people : tuple of Influence
     trust : TrustRule
         The rule with its parameters.
@@ -102,6 +104,7 @@ class InfluenceFit(Result):
     population: InfluencePopulation
     log_likelihood: float
     carried: bool
+    log_likelihood_anew: float | None
     people: tuple[Influence, ...]
     trust: TrustRule
     margins: tuple[Margin, Margin]
@@ -122,6 +125,7 @@ class InfluenceFit(Result):
             "rule": self.rule, "parameters": self.parameters, "intervals": self.intervals,
             "unidentified": self.unidentified, "open_above": self.open_above, "population": vars(self.population),
             "log_likelihood": self.log_likelihood, "carried": self.carried,
+            "log_likelihood_anew": self.log_likelihood_anew,
             "people": [vars(one) for one in self.people],
         }  # fmt: skip
 
@@ -190,6 +194,10 @@ def fit_influence(
         sample = search.sample(values, covariance)
         points, shares = sample.points, sample.shares
     population, value = search.fitted(values)
+    anew = None
+    if carry and (log.anew.sum(axis=1) > 1).any():
+        other = RuleSearch(log, family, False)
+        anew = other.fitted(other.best())[1]
     joint, last = _beliefs(log, search, points, shares)
     both = joint.sum(axis=0)
     beta, theta = both.sum(axis=2), both.sum(axis=1)
@@ -218,7 +226,7 @@ def fit_influence(
     chosen = family.rule(values)
     return InfluenceFit(
         name_of(rule) + family.beside, parameters_of(chosen), intervals, tuple(unidentified), tuple(open_above),
-        population, value, carry, tuple(people), chosen, margins,
+        population, value, carry, anew, tuple(people), chosen, margins,
     )  # fmt: skip
 
 

@@ -39,9 +39,11 @@ def let_see(
         Returns uniform numbers, shape (N * K,), of a `Stream`.
     """
     shape, neighbours = them.theta.shape, beliefs.neighbours
-    shown = neighbours.told(acts.heard.reshape(shape))
+    if not len(neighbours.sees):
+        return
     # In each step, whoever is shown something: an episode's numbers do not depend on the others that are simulated.
-    uniform = draw(Stream.NEIGHBOURS) if them.on_grid and len(neighbours.sees) else None
+    uniform = draw(Stream.NEIGHBOURS) if them.on_grid else None
+    shown = neighbours.told(acts.heard.reshape(shape))
     if not shown.any():
         return
     heard, gain = np.where(shown.reshape(-1), acts.heard, 0), np.zeros(len(after))

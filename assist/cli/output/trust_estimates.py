@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from ..options.settings import EstimateSetting
 
 
+FAR = 5.0
+"""Difference of log likelihoods, of models with as many parameters, from which one is said to describe people better."""
+
+
 def show_influence(seen: Evidence, rule: str, method: Method, setting: EstimateSetting, files: FitFiles) -> bool:
     """Estimate influence under a rule. Return whether every line of the log was used."""
     from ...learning.trust_fit import fit_influence
@@ -78,6 +82,11 @@ def _show_influence(found: InfluenceFit, level: float, files: FitFiles) -> None:
     for name in found.unidentified:
         click.echo(f"these actions say nothing about {name}")
     click.echo(f"population of {len(found.people)}: {_numbers(vars(found.population))}")
+    if found.log_likelihood_anew is not None and found.log_likelihood_anew > found.log_likelihood + FAR:
+        click.echo(
+            f"if theta begins anew in each episode, the log likelihood is {found.log_likelihood_anew:.3f}: carried over, "
+            "it does not describe these people; --set theta_per_episode=true"
+        )
 
 
 def _numbers(parameters: Mapping[str, float]) -> str:

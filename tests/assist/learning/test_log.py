@@ -480,6 +480,7 @@ def test_theta_begins_anew_in_each_episode_of_a_simulations_log_unless_asked(tmp
         result = invoke("fit", "kitting/tiny", log, "--influence", "constant", "--json", *asked)
         document = json.loads(result.stdout)
         found[log, more] = document["carried"], document["log_likelihood"]
+        assert (document["log_likelihood_anew"] is None) != document["carried"]
         told = "theta begins anew in each episode; --set theta_per_episode=false carries it over" in result.stderr
         assert told == ((log, more) == (file, ()))
     assert found[file, ()] == found[file, ("true",)]
