@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 FAR = 5.0
-"""Difference of log likelihoods, of models with as many parameters, from which one is said to describe people better."""
+"""Difference of log likelihoods from which one of two models with as many parameters is said to be better."""
 
 
 def show_influence(seen: Evidence, rule: str, method: Method, setting: EstimateSetting, files: FitFiles) -> bool:
@@ -84,8 +84,8 @@ def _show_influence(found: InfluenceFit, level: float, files: FitFiles) -> None:
     click.echo(f"population of {len(found.people)}: {_numbers(vars(found.population))}")
     if found.log_likelihood_anew is not None and found.log_likelihood_anew > found.log_likelihood + FAR:
         click.echo(
-            f"if theta begins anew in each episode, the log likelihood is {found.log_likelihood_anew:.3f}: carried over, "
-            "it does not describe these people; --set theta_per_episode=true"
+            f"if theta begins anew in each episode, the log likelihood is {found.log_likelihood_anew:.3f}: carried "
+            "over, it does not describe these people; --set theta_per_episode=true"
         )
 
 
