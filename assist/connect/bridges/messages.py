@@ -98,6 +98,15 @@ class Topic:
         return found
 
 
+def meet(one: str, other: str) -> bool:
+    """Return whether some topic is one of both, which may have fields."""
+    levels, others = one.split("/"), other.split("/")
+    return len(levels) == len(others) and all(
+        FIELD.fullmatch(level) or FIELD.fullmatch(own) or level == own
+        for level, own in zip(levels, others, strict=True)
+    )
+
+
 def filled(template: str, fields: Mapping[str, str], names: Mapping[str, str]) -> str:
     """Return a template with its fields filled in.
 
@@ -484,6 +493,18 @@ class Observing(BridgeSettings):
     """The settings of a bridge that reads what another program publishes."""
 
     observe: Annotated[Source | tuple[Source, ...], Field(description="What is read.")]
+
+    def require(self, robots: int) -> None:
+        """Refuse to read, as two things, what comes from one topic or node, and what the bridge itself sends."""
+        uses = [*self.uses()]
+        for number, (place, name, read) in enumerate(uses):
+            for before, other, was_read in uses[:number]:
+                if (read or was_read) and meet(name, other):
+                    raise wrong(f"{name!r} is also {spelt(before)}; expected one of its own", *place)
+
+    def uses(self) -> Iterator[tuple[Place, str, bool]]:
+        """Yield the places that name a topic or node, this, and whether it is read."""
+        yield from ()
 
     @property
     def sources(self) -> tuple[Any, ...]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import ssl
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from ...declare.declared import Expected, Seconds, Text, Texts, Truth, Whole, declared, names_of
+from ...declare.declared import Expected, Place, Seconds, Text, Texts, Truth, Whole, declared, names_of
 from ...live.views import PersonView, RobotView
 from .messages import (
     EventKind,
@@ -107,10 +107,7 @@ class MqttSettings(Observing):
 
     def require(self, robots: int) -> None:
         """Refuse topics without the fields that they need, fields that a view does not have, and files of no use."""
-        tables = {name: getattr(self, name) for name in ("advice", "answers", "status", "robot", "arrived")}
-        for place, table in tables.items():
-            if table is None:
-                continue
+        for place, table in self._tables():
             names = ["person"] if place in ("advice", "answers") else []
             if place in ("robot", "arrived") and (robots > 1 or "{robot}" in table.topic.text):
                 names = ["robot"]
@@ -119,7 +116,20 @@ class MqttSettings(Observing):
                 raise wrong(f"{table.topic.text!r}; expected {expected} in it", place, "topic")
         for place, output, known in (("advice", self.advice, VIEW), ("robot", self.robot, ERRAND)):
             require_among(None if output is None else output.fields, known, place)
+        super().require(robots)
         self.context()
+
+    def uses(self) -> Iterator[tuple[Place, str, bool]]:
+        """Yield the topics; also the last answers and advice are read, from what a broker keeps."""
+        for place, source in self.reporting():
+            yield (*place, "topic"), source.topic.text, True  # type: ignore[attr-defined]
+        for name, table in self._tables():
+            yield (name, "topic"), table.topic.text, name not in ("robot", "status")
+
+    def _tables(self) -> Iterator[tuple[str, Output | Plain]]:
+        for name in ("advice", "answers", "status", "robot", "arrived"):
+            if (table := getattr(self, name)) is not None:
+                yield name, table
 
     @property
     def port(self) -> int:

@@ -73,6 +73,16 @@ class OpcUaSettings(Observing):
     ]
     advice: Annotated[tuple[Advice, ...], Field(description="Where suggestions are written.")] = ()
 
+    def uses(self) -> Iterator[tuple[Place, str, bool]]:
+        """Yield the nodes; answers to several may be written to one."""
+        for number, observed in enumerate(self.observe):
+            yield ("observe", number, "node"), observed.node, True
+        for number, observed in enumerate(self.observe):
+            if observed.answer is not None:
+                yield ("observe", number, "answer"), observed.answer, False
+        for number, advice in enumerate(self.advice):
+            yield ("advice", number, "node"), advice.node, False
+
     def named(self) -> Iterator[tuple[Place, str]]:
         """Yield also the people whose suggestions are written."""
         yield from super().named()

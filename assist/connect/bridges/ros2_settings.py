@@ -155,9 +155,8 @@ class Ros2Settings(Observing):
     go_to: Annotated[GoToAction | None, Field(description="The action that sends a robot to a person.")] = None
 
     def require(self, robots: int) -> None:
-        """Refuse a topic that occurs twice, unknown fields, and goals that lack a field or the robot's number."""
-        if len({one.topic for one in self.sources}) < len(self.sources):
-            raise wrong("a topic occurs twice; expected one table for each", "observe")
+        """Refuse topics that occur twice, unknown fields, and goals that lack a field or the robot's number."""
+        super().require(robots)
         for place, output, known in (("advice", self.advice, VIEW), ("answers", self.answers, {*ANSWER})):
             if output is not None:
                 require_among(output.fields, known if output.type == STRING else known & IN_MESSAGES, place)
@@ -169,6 +168,14 @@ class Ros2Settings(Observing):
                 go_to.goal_for(person)  # type: ignore[union-attr]
             except Refusal as error:
                 raise wrong(str(error).partition(": ")[2], "go_to", "places", person) from None
+
+    def uses(self) -> Iterator[tuple[Place, str, bool]]:
+        """Yield the topics."""
+        for place, source in self.reporting():
+            yield (*place, "topic"), source.topic, True  # type: ignore[attr-defined]
+        for name, output in (("advice", self.advice), ("answers", self.answers)):
+            if output is not None:
+                yield (name, "topic"), output.topic, False
 
     def named(self) -> Iterator[tuple[Place, str]]:
         """Yield also the people whose places are named."""

@@ -37,6 +37,7 @@ SHOWN = [text for kind, text in BLOCK.findall((ROOT / "docs" / "line.md").read_t
 """The settings of the documentation: of MQTT at first and in full, of an OPC UA server, of an own one, and of ROS 2."""
 FIRST, MQTT, OPCUA, OWN, ROS2 = range(5)
 TEMPLATE, URL = "expected fields as {name}", "expected opc.tcp://host:port/path"
+OWN_PLACE = "expected one of its own"
 
 FAULTS = [
     (MQTT, 'topic = "line/{person}/action"', "", "observe.topic: is missing; expected a text"),
@@ -71,7 +72,20 @@ FAULTS = [
     (ROS2, "[go_to]", "[advice]\ntopic = '/a'\nfields = ['speed']\n[go_to]", "expected some of answered, applicable"),
     (ROS2, "[go_to]", "[advice]\ntopic = '/a'\ntype = 'a/msg/B'\nfields = ['reason']\n[go_to]", "expected some of app"),
     (ROS2, "y = 2.5", "z = 2.5", "'ann' has no y"),
-    (ROS2, "[observe]", "[[observe]]\ntopic = '/line/action'\n[[observe]]", "a topic occurs twice"),
+    (ROS2, "[observe]", "[[observe]]\ntopic = '/line/action'\n[[observe]]", f"is also observe[1].topic; {OWN_PLACE}"),
+    (ROS2, "[go_to]", "[advice]\ntopic = '/line/action'\n[go_to]", f"is also observe.topic; {OWN_PLACE}"),
+    (MQTT, "[observe]", "[[observe]]\ntopic = 'line/ann/action'\n[[observe]]", "is also observe[1].topic"),
+    (
+        MQTT,
+        "[advice]",
+        "[answers]\ntopic = 'line/{person}/action'\n[advice]",
+        "answers.topic: 'line/{person}/action'",
+    ),
+    (MQTT, "[advice]", "[answers]\ntopic = 'line/{person}/advice'\n[advice]", "is also advice.topic"),
+    (MQTT, "[advice]", "[status]\ntopic = 'line/a/action'\n[advice]", "status.topic: 'line/a/action' is also observe"),
+    (OPCUA, "[[observe]]", "[[observe]]\nnode = 'ns=2;s=A.Pick'\nperson = 'a'\n[[observe]]", "is also observe[1]."),
+    (OPCUA, "A.Answer", "A.Pick", f"observe[1].answer: 'ns=2;s=A.Pick' is also observe[1].node; {OWN_PLACE}"),
+    (OPCUA, "A.Light", "A.Pick", "advice[1].node: 'ns=2;s=A.Pick' is also observe[1].node"),
     (ROS2, "[observe]", "[observe]\ntype = 'a/msg/B'\npattern = 'x'", "applies to texts"),
     (ROS2, "[observe]", "[observe]\naction = '(fetch {box}'", "opens 1 and closes 0 brackets"),
 ]

@@ -444,7 +444,7 @@ def test_two_robots_have_a_topic_each(
     here.run(settings_file(tmp_path, broker, topics), work)
     for number in ("0", "3", "x"):
         assert f"MQTT: arrival of a robot: robot '{number}'; expected a number from 1 to 2" in caplog.text
-    for topic, wrong in (("robot/{robot}", "robot"), ("robot/{robot}/arrived", "robot/arrived")):
+    for topic, wrong in (("robot/{robot}", "robot"), ("robot/{robot}/arrived", "robots/arrived")):
         file = settings_file(tmp_path, broker, topics.replace(f'"{topic}"', f'"{wrong}"'))
         bridge_of(file)  # one robot needs no number
         with pytest.raises(click.UsageError, match=rf"topic: '{wrong}'; expected {{robot}} in it"):
