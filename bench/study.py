@@ -123,7 +123,7 @@ def main(
         failed = run_study(study, folder, jobs=jobs)
         if failed:
             sys.exit(f"{len(failed)} cells failed; the first: {failed[0]}")
-        summary = write_report(study, folder, jobs=jobs)
+        summary = write_report(study, folder, jobs=jobs).summary
         text = (folder / "report.md").read_text(encoding="utf-8")
         missing = [part for part in EXPECTED if part not in text]
         missing += [name for name in PICTURES if not (folder / "figures" / f"{name}.svg").is_file()]
