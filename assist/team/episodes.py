@@ -80,6 +80,8 @@ class Episodes(Result):
         Numbers in the pool, from 0.
     names : tuple of str
         What each person of the pool is called.
+    seed : int
+        Episodes of one number and of one seed have the same random numbers.
     beta, theta, sigma : float arrays, shape (N, K)
         True parameters; theta is that at the beginning.
     actions, costs : int and float arrays, shape (N, K)
@@ -106,6 +108,7 @@ class Episodes(Result):
     episode: NDArray[np.int64]
     people: NDArray[np.int64]
     names: tuple[str, ...]
+    seed: int
     beta: Floats
     theta: Floats
     sigma: Floats
@@ -134,11 +137,12 @@ class Episodes(Result):
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
         """Return the union of episodes of one policy."""
         names = [field.name for field in fields(cls) if getattr(parts[0], field.name) is not None]
-        names = [name for name in names if name not in ("policy", "names", "c_suggest_too_high")]
+        names = [name for name in names if name not in ("policy", "names", "seed", "c_suggest_too_high")]
         arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         costs = [part.c_suggest_too_high for part in parts]
         none_made = None if None in costs else costs[0]
-        return cls(parts[0].policy, names=parts[0].names, c_suggest_too_high=none_made, **arrays)
+        first = parts[0]
+        return cls(first.policy, names=first.names, seed=first.seed, c_suggest_too_high=none_made, **arrays)
 
     def summary(self) -> Summary:
         """Return means and their standard errors."""

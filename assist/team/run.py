@@ -118,9 +118,9 @@ class Simulation:
                 tracer.took(engine, taken)
         finished = engine.people.finished
         return Episodes(
-            policy=wanted.name, episode=numbers, people=people, names=pool.names, beta=began.beta, theta=first_theta,
-            sigma=np.array([human.sigma for human in pool.people])[people], actions=tally.actions, costs=tally.costs,
-            finished=finished, helped=tally.helped, executed=tally.executed,
+            policy=wanted.name, episode=numbers, people=people, names=pool.names, seed=wanted.seed, beta=began.beta,
+            theta=first_theta, sigma=np.array([human.sigma for human in pool.people])[people], actions=tally.actions,
+            costs=tally.costs, finished=finished, helped=tally.helped, executed=tally.executed,
             interventions=tally.helped.sum(axis=1), moves=tally.moves, steps=tally.steps,
             discounted_return=tally.discounted_return,
             cut_off=np.asarray((~finished & (wanted.presence.leaves > pool.setting.max_steps)).any(axis=1)),

@@ -30,6 +30,9 @@ Cells: TypeAlias = tuple[list[str], list[list[str]]]
 MEASURES = {"actions": "actions per person", "interventions": "interventions", "discounted_return": "return"}
 """What is compared, a mean of `Summary`, with its name in tables."""
 
+SAME = ("episode", "people", "beta", "theta", "sigma")
+"""What the episodes of all policies share, besides the seed of their random numbers."""
+
 DIFFERENCES = ("actions", "discounted_return")
 """The measures whose differences tables show; the frame has all."""
 
@@ -245,23 +248,28 @@ def comparison_of(runs: Iterable[Episodes], *, baseline: str | None = None, leve
     Parameters
     ----------
     runs : iterable of Episodes
-        One for each policy.
+        One for each policy. Those of one policy under two settings need two names (`simulate(..., name=)`).
     baseline, level
         As in `compare`.
 
     Raises
     ------
     ValueError
-        There is none, the baseline is not among them, or they are not the same episodes of the same people.
+        There is none, two have one name, the baseline is not among them, or they are not the same episodes of the same
+        people with the same random numbers.
     """
-    every = {run.policy: run for run in runs}
+    every: dict[str, Episodes] = {}
+    for run in runs:
+        if every.setdefault(run.policy, run) is not run:
+            raise ValueError(f"runs: two are called {run.policy!r}; expected different names")
     if not every:
         raise ValueError("runs: expected at least one")
     base = baseline_of(every, baseline)
     for run in every.values():
-        same = np.array_equal(run.episode, every[base].episode) and np.array_equal(run.people, every[base].people)
-        if not same:
-            raise ValueError(f"{run.policy}: expected the same episodes and people as those of {base}")
+        if run.seed != every[base].seed or not all(
+            np.array_equal(getattr(run, name), getattr(every[base], name)) for name in SAME
+        ):
+            raise ValueError(f"{run.policy}: expected the same seed, episodes and people as those of {base}")
     rows = [ComparedPolicy.of(run, None if name == base else every[base], level) for name, run in every.items()]
     return PolicyComparison(tuple(rows), base, "", level)
 

@@ -11,7 +11,7 @@ pool: other people would give other means. `run_study` draws several pools, and 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -21,6 +21,7 @@ import numpy as np
 from planner.system.errors import expected
 from planner.system.progress import Progress, Wanted, shows_progress
 
+from ...declare.tables import label
 from ...people.arguments import Seed, entropy, positive, whole
 from ...person.robots import Robot
 from ...person.settings import Setting
@@ -230,7 +231,9 @@ def _teams(humans: int | Iterable[int] | Iterable[str]) -> list[int | list[str]]
     given = [humans] if np.ndim(humans) == 0 else list(humans)  # type: ignore[arg-type]
     if any(isinstance(one, str) for one in given):
         return [given]  # type: ignore[list-item]
-    return [whole("humans", one, 1) for one in given]
+    sizes = [whole("humans", one, 1) for one in given]
+    _require_different("humans", sizes)
+    return sizes  # type: ignore[return-value]
 
 
 def _pools(
@@ -257,7 +260,23 @@ def _pools(
     values = list(settings[name])
     if not values:
         raise ValueError(f"{name}: expected at least one value")
-    return {value: _under(one, {**fixed, name: value}) for value in values}, name
+    keys = [_key(value) for value in values]
+    _require_different(name, keys)
+    return {key: _under(one, {**fixed, name: value}) for key, value in zip(keys, values, strict=True)}, name
+
+
+def _key(value: Any) -> Any:
+    """Return what stands for a value of a field in tables: itself if it is a number or a name."""
+    if isinstance(value, Mapping):
+        return label(value)
+    return value if isinstance(value, Hashable) else str(value)
+
+
+def _require_different(name: str, keys: Sequence[Any]) -> None:
+    """Check that no condition is there twice."""
+    for at, key in enumerate(keys):
+        if key in keys[:at]:
+            raise ValueError(f"{name}: {key} is there twice; expected different values")
 
 
 def _under(pool: Pool, fields: Mapping[str, Any]) -> Callable[[], Pool]:

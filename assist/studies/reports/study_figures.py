@@ -60,8 +60,10 @@ def pictures(found: Found, summary: Record) -> Iterator[ReportFigure]:
         figure = partial(trade_off_figure, points, published, name)
         yield ReportFigure("trade-off", f"Actions against interventions for different costs{whose}", figure)
 
-    text = f"The robot's belief over the course of one episode{whose}"
-    yield ReportFigure("belief", text, partial(belief_figure, *_one_episode(found)))
+    beliefs, episode = _one_episode(found)
+    if len(beliefs):  # nobody acts where the goal holds at the start
+        text = f"The robot's belief over the course of one episode{whose}"
+        yield ReportFigure("belief", text, partial(belief_figure, beliefs, episode))
 
 
 def of_kinds(study: Study) -> Condition | None:

@@ -121,6 +121,17 @@ def test_pools_are_conditions_and_have_a_column(pool: Pool) -> None:
     assert [axis.get_xlabel() for axis in found.figure().axes] == ["c_suggest"] * 3
 
 
+def test_a_field_whose_values_are_tables_is_varied(pool: Pool) -> None:
+    rules: list[Any] = ["constant", {"rule": "outcome", "gain": 0.1}]
+    found = compare(pool, ["none", "attention"], humans=2, episodes=20, trust=rules)
+    assert [row.varied for row in found] == ["constant"] * 2 + ["rule outcome, gain 0.1"] * 2
+    alone = compare(pool, ["none", "attention"], humans=2, episodes=20, trust=rules[1])
+    assert found[3].summary == alone[1].summary
+    seen = compare(pool, "none", humans=2, episodes=2, neighbours=[None, {"rule": "followed", "sees": "everybody"}])
+    assert [row.varied for row in seen] == [None, "rule followed, sees everybody"]
+    assert found.figure().axes
+
+
 def test_it_says_where_no_suggestion_was_worth_its_cost(pool: Pool) -> None:
     found = compare(pool, ["none", "attention"], humans=2, episodes=5, c_suggest=[0.05, 40.0])
     assert found.notes() == ["attention, 40.0: no suggestion was worth its cost (c_suggest 40)"]
@@ -216,6 +227,9 @@ def test_a_users_policy_and_one_episode(pool: Pool) -> None:
         ({"c_suggest": []}, "c_suggest: expected at least one value"),
         ({"c_suggest": [0.1, 1.0], "c_move": [0.1, 1.0]}, "c_suggest and c_move: expected several values of one"),
         ({"c_suggest": [-1.0]}, "c_suggest"),
+        ({"c_suggest": [0.1, 1.0, 0.1]}, "c_suggest: 0.1 is there twice; expected different values"),
+        ({"trust": [{"rule": "outcome"}, {"rule": "outcome"}]}, r"trust: rule outcome is there twice"),
+        ({"humans": [2, 2]}, "humans: 2 is there twice; expected different values"),
         ({"pool": {}}, "pool: expected at least one"),
         ({"pool": "kitting/tiny"}, "Pool.sample"),
     ],
@@ -226,7 +240,24 @@ def test_a_wrong_argument_is_answered_in_one_sentence(pool: Pool, change: dict[s
         compare(arguments.pop("pool"), arguments.pop("policies"), **arguments)
 
 
-def test_only_the_same_episodes_are_compared(pool: Pool) -> None:
-    runs = [simulate(pool, name, humans=2, episodes=5, seed=seed) for seed, name in enumerate(["none", "reactive"])]
-    with pytest.raises(ValueError, match="same episodes and people"):
+@pytest.mark.parametrize("humans", [2, ["human-1", "human-2"]])
+def test_only_the_same_episodes_are_compared(pool: Pool, humans: Any) -> None:
+    none = simulate(pool, "none", humans=humans, episodes=5, seed=0)
+    other = Pool.sample(cost_to_go("kitting/tiny"), 3, seed=99, setting=SETTING)
+    runs = [
+        simulate(pool, "reactive", humans=humans, episodes=5, seed=1),
+        simulate(pool, "reactive", humans=humans, episodes=6, seed=0),
+        simulate(other, "reactive", humans=humans, episodes=5, seed=0),
+    ]
+    for run in runs:
+        with pytest.raises(ValueError, match="reactive: expected the same seed, episodes and people as those of none"):
+            comparison_of([none, run])
+
+
+def test_runs_that_are_compared_have_different_names(pool: Pool) -> None:
+    dear = pool.under(replace(pool.setting, c_suggest=1.0))
+    runs = [simulate(one, "attention", humans=2, episodes=5, seed=0) for one in (pool, dear)]
+    with pytest.raises(ValueError, match="two are called 'attention'; expected different names"):
         comparison_of(runs)
+    named = [runs[0], simulate(dear, "attention", humans=2, episodes=5, seed=0, name="attention, dear")]
+    assert [row.policy for row in comparison_of(named)] == ["attention", "attention, dear"]

@@ -325,6 +325,16 @@ def test_a_single_episode_makes_a_report(tmp_path: Path) -> None:
         assert words_in(report, name)
 
 
+def test_a_task_whose_goal_holds_at_the_start_makes_a_report(tmp_path: Path) -> None:
+    (tmp_path / "domain.pddl").write_text((KITTING / "domain.pddl").read_text())
+    task = (KITTING / "tiny.pddl").read_text().replace("(in-slot hammer slot-1) (in-slot wrench slot-2)", "")
+    (tmp_path / "done.pddl").write_text(task)
+    report = report_of(tmp_path, TINY.replace(f"{KITTING}/tiny.pddl", "done.pddl").split("[[conditions]]")[0], 2)
+    assert {cell["human_actions_per_person"]["mean"] for cell in report.summary["cells"]} == {0.0}
+    assert "## One episode" not in report.text
+    assert words_in(report, "team-size")
+
+
 @pytest.mark.slow
 def test_the_papers_protocol_makes_its_whole_report(tmp_path: Path) -> None:
     """All conditions of the paper, on a task that takes no time; `make study` runs them on the paper's tasks."""
