@@ -161,7 +161,7 @@ def replayed(
     Raises
     ------
     InputFileError
-        No part of the log can be used or, with `strict`, some part cannot.
+        No part of the log can be used or, with `strict`, some part cannot; or it has lines of other tasks only.
     TypeError
         `task` is no task, or `log` is no log.
     ValueError
@@ -169,17 +169,18 @@ def replayed(
         be reached, or the prior is no distribution.
     """
     _require_known(reading)
-    log = log_of(log, gaps=reading.get("gaps", False), columns=reading.get("columns"))
+    several = isinstance(task, Mapping)
+    tasks = (
+        {name: known_costs(one) for name, one in task.items()} if isinstance(task, Mapping) else {"": known_costs(task)}
+    )
+    problems = [str(one.task.instance.problem) for one in tasks.values()]
+    log = log_of(log, problems, gaps=reading.get("gaps", False), columns=reading.get("columns"))
     if tell is None:
         for question in log.questions:
             warnings.warn(f"{log.name}: {question}", stacklevel=_outside())
     strict = reading.get("strict", False)
-    several = isinstance(task, Mapping)
     if tell is None and not several and (said := as_one_goal(log)) is not None:
         warnings.warn(f"{log.name}: {said}", stacklevel=_outside())
-    tasks = (
-        {name: known_costs(one) for name, one in task.items()} if isinstance(task, Mapping) else {"": known_costs(task)}
-    )
     prior = prior_over(tasks, reading.get("prior"))
     costs = next(iter(tasks.values()))
     states: CostToGo | JointStates = JointStates(tasks) if several else costs

@@ -21,10 +21,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, cast
 
+from planner.system.errors import InputFileError
 from planner.system.results import Result
 
 from ..people.action_names import words_of, wrong_form
-from .log_files import IN_TEAM, NEEDED, is_hidden, lacking_column, named_rows, own_names, read_records, tidy
+from .log_files import IN_TEAM, NEEDED, in_tasks, is_hidden, lacking_column, named_rows, own_names, read_records, tidy
 from .log_rows import Broken, Names, Row, Taken
 from .log_steps import days_in_disorder, expected_date, moment
 
@@ -134,6 +135,8 @@ class Log(Result):
         Whether a simulation wrote it, in which theta begins anew in each episode: it has its policy and the true theta.
     goals : tuple of str
         The true goals that a simulation with several goals wrote.
+    tasks : tuple of str
+        Names of the tasks, if lines of several are together here, which no task has; else empty.
     """
 
     entries: tuple[Entry, ...]
@@ -145,6 +148,7 @@ class Log(Result):
     questions: tuple[str, ...] = ()
     simulated: bool = False
     goals: tuple[str, ...] = ()
+    tasks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         episodes, faults = len({entry.names for entry in self.entries}), len(self.faults)
@@ -171,11 +175,7 @@ class Log(Result):
         name : str
             Name of the log in messages.
         """
-        taken, named = Taken(), own_names(columns)
-        rows = named_rows(list(enumerate(_records(records), start=1)), named, name, taken)
-        if hasattr(records, "columns") and (lacking := lacking_column(list(map(str, records.columns)), named)):
-            rows = [(1, lacking)]
-        return _log(tidy(rows, taken, gaps=gaps), gaps, name, taken)
+        return _of(records, gaps, columns, name)
 
 
 def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[str, str] | None = None) -> Log:
@@ -199,29 +199,60 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[
     ValueError
         `columns` has a name that a log does not have, or the file does not.
     """
-    path = Path(file)
-    rows, taken = read_records(path, own_names(columns), gaps=gaps)
-    return _log(rows, gaps, str(path), taken)
+    return _read(file, gaps, columns)
 
 
 def log_of(
-    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]], *, gaps: bool = False,
+    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]], problems: Sequence[str], *, gaps: bool = False,
     columns: Mapping[str, str] | None = None,
 ) -> Log:  # fmt: skip
-    """Return a log in any form: itself, its file, records, or a data frame; options as in `read_log`.
+    """Return the log of some tasks in any form: itself, its file, records, or a data frame; options as in `read_log`.
+
+    Parameters
+    ----------
+    log : Log, path, iterable of mappings, or data frame
+    problems : sequence of str
+        Files of the tasks' problems. Lines of other tasks are left out, as `note` says.
 
     Raises
     ------
+    InputFileError
+        The log has several tasks, and none of these; or it was read already with the lines of several.
     TypeError
         It is no log, or it was read already and there are options of reading.
     """
     if isinstance(log, Log):
         if gaps or columns:
             raise TypeError(f"{'columns' if columns else 'gaps'}: expected a file, records or a frame, not a log")
+        if log.tasks:
+            several = f"lines of several tasks ({', '.join(task or 'no name' for task in log.tasks)})"
+            wanted = "expected the file, records or frame itself, of which only the instance's lines are then read"
+            raise InputFileError(f"{log.name}: {several} were read; {wanted}")
         return log
     if isinstance(log, str | PathLike):
-        return read_log(log, gaps=gaps, columns=columns)
-    return Log.of(log, gaps=gaps, columns=columns)
+        return _read(log, gaps, columns, problems)
+    return _of(log, gaps, columns, problems=problems)
+
+
+def _read(
+    file: str | PathLike[str], gaps: bool, columns: Mapping[str, str] | None, problems: Sequence[str] = ()
+) -> Log:  # fmt: skip
+    """Return the log in a file."""
+    path = Path(file)
+    rows, taken = read_records(path, own_names(columns), gaps=gaps, problems=problems)
+    return _log(rows, gaps, str(path), taken)
+
+
+def _of(
+    records: Iterable[Mapping[str, Any]], gaps: bool, columns: Mapping[str, str] | None, name: str = "log",
+    problems: Sequence[str] = (),
+) -> Log:  # fmt: skip
+    """Return the log of records."""
+    taken, named = Taken(), own_names(columns)
+    rows = named_rows(list(enumerate(_records(records), start=1)), named, name, taken)
+    if hasattr(records, "columns") and (lacking := lacking_column(list(map(str, records.columns)), named)):
+        rows = [(1, lacking)]
+    return _log(tidy(in_tasks(rows, problems, name, taken), taken, gaps=gaps), gaps, name, taken)
 
 
 def _records(records: Any) -> Iterable[Mapping[str, Any]]:
@@ -341,7 +372,7 @@ def _log(records: Iterable[Row], gaps: bool, name: str, taken: Taken) -> Log:
     return Log(
         tuple(entry for entry in entries if entry.names not in incomplete),
         tuple(sorted(faults, key=lambda fault: fault.line)), frozenset(people), frozenset(called), name, note,
-        tuple(taken.asked), taken.simulated, taken.goals,
+        tuple(taken.asked), taken.simulated, taken.goals, taken.tasks,
     )  # fmt: skip
 
 

@@ -13,12 +13,13 @@ import re
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 from unicodedata import category
 
 import numpy as np
 
+from planner.system.errors import InputFileError
 from planner.system.files import bytes_of
 from planner.system.signs import plain
 
@@ -28,11 +29,12 @@ from .log_rows import Broken, Names, Row, Taken
 from .log_steps import is_plain, number_times, whole
 from .log_tables import has_columns, read_table
 
-COLUMNS = ("person", "episode", "step", "action", "suggestion", "executed", "place", "order", "since")
+COLUMNS = ("person", "episode", "step", "action", "suggestion", "executed", "place", "order", "since", "task")
 NEEDED = COLUMNS[:4]
 NAMES = COLUMNS[:2]
 ACTIONS = COLUMNS[3:6]
-IN_TEAM = COLUMNS[6:]
+IN_TEAM = COLUMNS[6:9]
+TASK = COLUMNS[9]
 
 DASHES = frozenset(("-", "--", "---", "\N{EN DASH}", "\N{EM DASH}", "\N{MINUS SIGN}"))
 """Notations of no suggestion; no action has such a name."""
@@ -54,7 +56,9 @@ BINARY = {
 """First bytes of files that are no text."""
 
 
-def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) -> tuple[list[Row], Taken]:
+def read_records(
+    file: Path, columns: Mapping[str, str], *, gaps: bool = False, problems: Sequence[str] = ()
+) -> tuple[list[Row], Taken]:  # fmt: skip
     """Return a file's records, and how it was interpreted.
 
     Parameters
@@ -64,11 +68,13 @@ def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) 
         The file's name of each column of a log; checked by `own_names`.
     gaps : bool
         Whether steps may have gaps, so that they may be times.
+    problems : sequence of str
+        As in `in_tasks`.
 
     Raises
     ------
     InputFileError
-        The file cannot be read.
+        The file cannot be read, or has lines of several tasks, and of none of the given ones.
     ValueError
         `columns` has a name that the file does not have.
     """
@@ -82,7 +88,61 @@ def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) 
         rows = named_rows(rows, columns, file, taken)
     else:
         rows = _from_table(lines, columns, file, taken)
-    return tidy(rows, taken, gaps=gaps), taken
+    return tidy(in_tasks(rows, problems, file, taken), taken, gaps=gaps), taken
+
+
+def in_tasks(rows: Sequence[Row], problems: Sequence[str], name: object, taken: Taken) -> list[Row]:
+    """Return the rows in some tasks; rows whose task is unknown are returned, too, unless other rows have one.
+
+    An episode belongs to one task, so that lines of others are no part of the log: they are left out first of all.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Rows with the column names of a log.
+    problems : sequence of str
+        Files of the tasks' problems. A log calls a task by such a name, without ending and perhaps with folders. A
+        log of one task may call it otherwise. Without problems all rows are returned, and `taken` has their tasks.
+    name : object
+        Name of the log in messages.
+
+    Raises
+    ------
+    InputFileError
+        The log has several tasks, and none of these.
+    """
+    tasks = Counter(_task(record) for _, record in rows if isinstance(record, Mapping))
+    called = [task for task in tasks if any(_is_called(task, problem) for problem in problems)]
+    shown = ", ".join(f"{task or 'no name'} {count:,}" for task, count in tasks.items())
+    own = Path(problems[0]).stem if problems else ""
+    if not problems:
+        taken.tasks = tuple(tasks) if len(tasks) > 1 else ()
+    elif len(tasks) > 1 and not called:
+        wanted = (
+            f"expected lines of '{own}', as the instance is called, or of one task only, as log(task) of a team has"
+        )
+        raise InputFileError(f"{name}: lines of several tasks ({shown}); {wanted}")
+    elif len(tasks) > len(called):
+        if not called:
+            if any(tasks):
+                taken.said.append(f"lines of the task '{next(iter(tasks))}' as those of '{own}'")
+            return list(rows)
+        left = sum(tasks.values()) - sum(tasks[task] for task in called)
+        taken.said.append(f"only lines of the task {' or '.join(called)}, without {left:,} others (lines: {shown})")
+        return [row for row in rows if not isinstance(row[1], Mapping) or _task(row[1]) in called]
+    return list(rows)
+
+
+def _task(record: Mapping[str, Any]) -> str:
+    """Return the name of a record's task; an empty one if it has none."""
+    value = record.get(TASK)
+    return "" if value is None or _is_missing(value, Taken()) else plain(str(value))
+
+
+def _is_called(task: str, problem: str) -> bool:
+    """Return whether a task's name is that of a problem's file: without ending, perhaps with its last folders."""
+    own, name = (PurePath(text.lower().removesuffix(".pddl")).parts for text in (problem, task))
+    return bool(name) and own[-len(name) :] == name
 
 
 def own_names(columns: Mapping[str, str] | None) -> dict[str, str]:

@@ -49,6 +49,7 @@ class Taken:
     asked: list[str] = field(default_factory=list)
     simulated: bool = False
     goals: tuple[str, ...] = ()
+    tasks: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         said = list(self.said)

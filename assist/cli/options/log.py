@@ -66,8 +66,13 @@ class ReadingOptions(NamedTuple):
     strict: bool
     jobs: int | None
 
-    def replayed(self, file: Path, setting: ReadingSetting, task: Any, **more: Any) -> Evidence:
-        """Replay a log, as `learning.replayed` does; tell its faults. Expected errors end the command in one line."""
+    def replayed(
+        self, file: Path, setting: ReadingSetting, problems: Sequence[str], task: Any, **more: Any
+    ) -> Evidence:  # fmt: skip
+        """Replay a log, as `learning.replayed` does; tell its faults. Expected errors end the command in one line.
+
+        `task` returns what is replayed in: the tasks of the problems.
+        """
         from ...learning.evidence import replayed
         from ...learning.log import as_one_goal, selected, told
 
@@ -80,7 +85,7 @@ class ReadingOptions(NamedTuple):
                 fail(f"{file}: nothing is estimated, because of --strict", ExitCode.FAILED)
 
         names = renamed(self.rename)
-        log = log_of(file, self.columns, gaps=setting.gaps)
+        log = log_of(file, problems, self.columns, gaps=setting.gaps)
         tasks = task()
         if not isinstance(tasks, Mapping) and (said := as_one_goal(log)) is not None:
             click.echo(f"{file}: {said}", err=True)
@@ -175,7 +180,7 @@ def with_task(
 
     walked: list[OnDemand] = []
     evaluate = None if choices else lambda wanted: _evaluate(walked[0], wanted, reading, setting)
-    return reading.replayed(file, setting, loaded, evaluate=evaluate)
+    return reading.replayed(file, setting, [str(found.problem)], loaded, evaluate=evaluate)
 
 
 def with_goals(
@@ -196,20 +201,20 @@ def with_goals(
             prior_over(found, setting.goal_prior or None, "goal_prior")
         return found
 
-    return reading.replayed(file, setting, loaded, prior=setting.goal_prior or None)
+    return reading.replayed(file, setting, every, loaded, prior=setting.goal_prior or None)
 
 
 def _cache(setting: ReadingSetting) -> Path | None:
     return None if setting.cache is None else Path(setting.cache)
 
 
-def log_of(file: Path, columns: tuple[str, ...], *, gaps: bool) -> Log:
-    """Read a log. Invalid columns raise usage errors; what was guessed about the file is printed to stderr."""
-    from ...learning.log import read_log
+def log_of(file: Path, problems: Sequence[str], columns: tuple[str, ...], *, gaps: bool) -> Log:
+    """Read the log of some tasks. Invalid columns raise usage errors; what was guessed is printed to stderr."""
+    from ...learning import log as logs
 
     named = _columns(columns)
-    with usage_errors():
-        log = read_log(file, gaps=gaps, columns=named)
+    with usage_errors(InputFileError):
+        log = logs.log_of(file, problems, gaps=gaps, columns=named)
     if log.note:
         click.echo(f"{file}: {log.note}", err=True)
     return log

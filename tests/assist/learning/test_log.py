@@ -23,7 +23,7 @@ from assist.team import Pool, TeamAction, TeamState
 from assist.team.pool import Setting
 from assist.team.simulate import simulate
 from assist.team.trace import Trace
-from planner import Table
+from planner import InputFileError, Table
 
 PAPER = kit("paper")
 PAPER_PLAN = PAPER.optimal_plan() or []
@@ -38,6 +38,28 @@ def used(file: Path, table: Table, **options: bool) -> dict[str, int]:
     """Return the number of replayed actions of each person."""
     recording, _ = replay(read_log(file, **options), table)
     return {person: int((recording.person == k).sum()) for k, person in enumerate(recording.people)}
+
+
+def test_of_several_tasks_only_the_lines_of_the_instance_are_read(tmp_path: Path, tiny: Table) -> None:
+    """Episodes of other tasks may have the same names, unknown actions and gaps."""
+    own = [row | {"task": "kitting/tiny"} for row in lines(*PLAN)]
+    others = [row | {"task": "order-2"} for row in lines("(open lid)", FETCH)[1:]]
+    seen = replayed(tiny, [*others, *own])
+    assert seen.complete
+    assert len(seen.recording) == len(PLAN)
+    assert "only lines of the task kitting/tiny, without 1 others" in seen.log.note
+    shown = invoke("fit", "kitting/tiny", str(write_log(tmp_path / "log.jsonl", [*others, *own])))
+    assert shown.exit_code == 0
+    assert "lines: order-2 1, kitting/tiny" in shown.stderr
+    alone = replayed(tiny, [row | {"task": "desk"} for row in lines(*PLAN)])
+    assert len(alone.recording) == len(PLAN)
+    assert "lines of the task 'desk' as those of 'tiny'" in alone.log.note
+    assert not replayed(tiny, lines(*PLAN)).log.note
+    unknown = [*others, *(row | {"task": "desk"} for row in lines(*PLAN))]
+    with pytest.raises(InputFileError, match=r"several tasks .order-2 1, desk .*expected lines of 'tiny'"):
+        replayed(tiny, unknown)
+    with pytest.raises(InputFileError, match=r"several tasks .order-2, kitting/tiny. were read"):
+        replayed(tiny, Log.of([*others, *own]))
 
 
 @pytest.mark.parametrize("line", [1, 2, 5, 8, 9])
