@@ -92,6 +92,14 @@ class Certificate(Result):
         )
 
 
+LONGEST = 10_000
+"""Largest number of steps of an episode, which takes some seconds.
+
+People in a dead end act until it ends, and the time is looked at after a portion of episodes. For gamma above 0.998,
+the rest of those who have not finished weighs more than a millionth.
+"""
+
+
 def horizon(gamma: float) -> int:
     """Return the number of steps after which episodes end.
 
@@ -120,7 +128,8 @@ class Simulated:
     def __init__(
         self, pool: Pool, policy: TeamPolicy | str, team: tuple[int, ...], travel: Travel, *, seed: int
     ) -> None:
-        gamma, self._end = pool.setting.gamma, horizon(pool.setting.gamma)
+        gamma = pool.setting.gamma
+        self._end = min(horizon(gamma), LONGEST)
         self._pool = replace(pool, setting=replace(pool.setting, max_steps=self._end))
         self._policy = self._pool.policy(policy, travel) if isinstance(policy, str) else policy
         self.team, self._travel, self._seed = team, travel, seed

@@ -186,6 +186,9 @@ def upper_bound(
 ) -> TeamBound:
     """Return an upper bound on the value of all policies for a team in which all people work from the beginning.
 
+    Values are of work without a step limit. `simulate` ends episodes after the setting's `max_steps`, and later steps
+    cost nothing, so that its means may be higher. `TeamBound.certify` compares a policy with the bound.
+
     Parameters
     ----------
     pool : Pool

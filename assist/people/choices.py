@@ -170,10 +170,6 @@ class Choices:
         """The key of each row's task state, shape (n,)."""
         return self.of_task(np.arange(self.task_states, dtype=np.uint64)) if self.key is None else self.key
 
-    def task_state(self, row: int) -> int:
-        """Return the task state of a row."""
-        return row if self.state is None else int(self.state[row])
-
     def of_task(self, array: NDArray[T]) -> NDArray[T]:
         """Return the entries of an array of the task's states, shape (m, ...), arranged by row, shape (n, ...)."""
         return array if self.state is None else array[self.state]

@@ -176,9 +176,9 @@ class Goals:
                     f"goal '{name}' has states of its own, as its table is of another call of `sweep_goals`, or as the "
                     "goal compares numbers, or actions read derived predicates; expected a goal of facts"
                 )
-            h = table.lookup([table.initial])[0]
-            if not 0 < h < np.inf:
-                what = "holds in" if h == 0 else "cannot be reached from"
+            h, holds = table.lookup([table.initial])[0], table.is_goal([table.initial])[0]
+            if holds or h == np.inf:
+                what = "holds in" if holds else "cannot be reached from"
                 raise ValueError(f"goal '{name}' {what} the initial state; expected goals that have to be pursued")
 
     @property

@@ -74,6 +74,7 @@ def evaluate(
     tolerance: float = 1e-4,
     deadline: float = math.inf,
     max_sweeps: int | None = None,
+    leaves: float | None = None,
 ) -> Floats:
     """Return the values of a policy that depends on x only, shape (n, H, T): exact or slightly too low.
 
@@ -89,6 +90,8 @@ def evaluate(
         are lower bounds.
     max_sweeps : int, optional
         Number of sweeps after which values that have not converged are returned; they are lower bounds.
+    leaves : float, optional
+        Value at the frontier; by default `frontier.lower`.
 
     Raises
     ------
@@ -98,12 +101,13 @@ def evaluate(
     arrays, active = ProblemArrays.of(pomdp), ~pomdp.final[pomdp.hidden.goal_of].T
     # This is a lower bound: the largest cost in every step.
     worst = -(pomdp.robot_costs.max(initial=0.0) + pomdp.model.choices.costs.max(initial=0.0)) / (1 - pomdp.gamma)
-    if pomdp.frontier is not None:
-        worst = min(worst, pomdp.frontier.lower.min(initial=0.0))
     value = np.zeros((len(active), *pomdp.prior.shape))
+    if pomdp.frontier is not None:
+        there = pomdp.frontier.lower if leaves is None else np.asarray(leaves)
+        worst = min(worst, there.min(initial=0.0))
     value[active] = worst
     if pomdp.frontier is not None:
-        value[pomdp.frontier.states] = pomdp.frontier.lower
+        value[pomdp.frontier.states] = there
     limits = Limits(tolerance, max_sweeps or MOST_SWEEPS, deadline)
     backup = SparseBackup.of_small(pomdp)
     converged = improve(value, regions(pomdp), action, arrays, limits, below=True, backup=backup)

@@ -2,9 +2,9 @@
 
 The task state x is observed; the person's type, that is their goal and their expertise beta, and theta are hidden
 (`people.hidden_type`). In each step the robot does nothing, suggests an action, or executes an action of the task. Then
-the person acts, and x changes. An `AssistPOMDP` holds the arrays of the model. `likelihood` and
-`update` are a belief filter by formula, for tests and for users; they keep goals that are reached. Simulations and live
-teams use `person.beliefs`. Every solver returns a `Policy` (`person.policy`).
+the person acts, and x changes. An `AssistPOMDP` holds the arrays of the model, and `likelihood` the probability of an
+action. `update` is a belief filter by formula, for tests and for users; it keeps goals that are reached. Others use
+`person.beliefs`. Every solver returns a `Policy` (`person.policy`).
 
 The robot actions of a state are numbered from 0: nothing, then the suggestions, then the executions. What is optimal
 for one of several goals may be suggested.

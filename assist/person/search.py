@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -59,8 +60,10 @@ class SolverOptions:
 
 
 def relative_gap(lower: float, upper: float) -> float:
-    """Return (upper - lower) / abs(lower), or 0 if both are 0."""
-    return 0.0 if upper <= lower else (upper - lower) / abs(lower)
+    """Return (upper - lower) / abs(lower); infinity if only the lower bound is 0."""
+    if upper <= lower:
+        return 0.0
+    return (upper - lower) / abs(lower) if lower else math.inf
 
 
 class Search:
@@ -90,7 +93,10 @@ class Search:
     def first_policies(self, best: QMDP, until: float) -> tuple[float, float]:
         """Add the vectors of policies that depend on x only; return the values of never and of always suggesting."""
         pomdp = self.pomdp
-        never = self.begin(np.zeros(len(pomdp.robot_actions), dtype=np.int64))
+        nothing = np.zeros(len(pomdp.robot_actions), dtype=np.int64)
+        never = self.begin(nothing)
+        if pomdp.frontier is not None and pomdp.frontier.floor is not None:  # without any suggestion afterwards, too
+            never = self.begin(nothing, leaves=pomdp.frontier.floor)
         always = self.begin(self.informed(best, pomdp.prior, np.asarray(pomdp.suggests_optimal.any(axis=2))), until)
         trusting = np.zeros_like(pomdp.prior)
         trusting[:, -1] = pomdp.prior.sum(axis=1)
@@ -127,14 +133,14 @@ class Search:
         while True:
             self.tighten()
             elapsed = tell(self.lower, self.upper)
-            if relative_gap(self.lower, self.upper) <= gap:
+            apart = self.upper - self.lower
+            if relative_gap(self.lower, self.upper) <= gap or apart <= smallest:
                 return "gap"
             if elapsed >= seconds:
                 return "time"
             if not self.make_room(memory_limit_mb):
                 return "memory"
-            apart = self.upper - self.lower
-            going_on = self.fineness[0] >= self.options.finest and apart > smallest
+            going_on = self.fineness[0] >= self.options.finest
             done = self.improve(self.root, self.prior, gap * abs(self.lower), apart) if going_on else 0
             if not done:
                 return "stalled"
@@ -148,9 +154,12 @@ class Search:
         below, above = self.bounds(self.root, self.prior)
         self.lower, self.upper = max(self.lower, below), min(self.upper, above)
 
-    def begin(self, action: Ints, deadline: float = math.inf, max_sweeps: int | None = None) -> float:
+    def begin(
+        self, action: Ints, deadline: float = math.inf, max_sweeps: int | None = None, leaves: float | None = None
+    ) -> float:
         """Add the vectors of a policy that depends on x only; return a lower bound on its value at the root."""
-        value = evaluate(self.pomdp, action, deadline=deadline, max_sweeps=max_sweeps).reshape(len(action), -1)
+        limits: dict[str, Any] = {"deadline": deadline, "max_sweeps": max_sweeps, "leaves": leaves}
+        value = evaluate(self.pomdp, action, **limits).reshape(len(action), -1)
         vector_lists.add_vectors(value, action, _own(self.pomdp.prior), self.vectors)
         there = float((value[self.root] * self.prior).sum())
         there -= rounding(2 * len(self.prior)) * abs(there)

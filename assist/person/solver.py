@@ -81,7 +81,8 @@ class Solution(Result, Policy):
     value_never, value_always : float
         Values of two policies there: do nothing, and always suggest the optimal action that QMDP prefers at the prior.
         They are at most 1e-4 cost units too low; the second may be lower still after a time limit. Both are at most
-        `lower`.
+        `lower`. On a truncated task both are lower bounds, which take the worst case of the first at the frontier, and
+        the frontier's lower bound for the second.
     seconds : float
     backups : int
     stopped : str

@@ -402,6 +402,9 @@ def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:
         Goals({"a": tiny, "b": sweep(tiny.task)})
     with pytest.raises(ValueError, match="holds in the initial state"):
         Goals({"a": sweep(replace(tiny.task, goal=tuple(enumerate(tiny.task.initial))))})
+    road = graph_task([(0, 1, 0), (0, 2, 2)], goal=1, start=0)
+    free = Goals(dict(zip("ab", sweep_goals([road, replace(road, goal=((0, 2),))]), strict=True)))
+    assert free.tables["a"].lookup([road.initial]) == [0.0]  # it costs nothing, and has to be pursued
     with pytest.raises(ValueError, match=r"goals 'none': expected 'inferred', 'likeliest', 'known'"):
         simulate(pool, "none", humans=1, episodes=1, seed=1, goals="none")  # type: ignore[arg-type]
     desk = Assistant(tiny, ["ann"])

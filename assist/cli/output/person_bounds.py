@@ -27,8 +27,10 @@ def show_bounds(record: dict[str, Any]) -> None:
     if record["frontier"]:
         what += f"; {record['frontier']:,} frontier states"
     click.echo(what)
+    least = " (at least)" if record["frontier"] else ""
     labels = (
-        ("value_never", "never suggest"), ("value_always", "always suggest"), ("lower", "policy (lower bound)"),
+        ("value_never", f"never suggest{least}"), ("value_always", f"always suggest{least}"),
+        ("lower", "policy (lower bound)"),
         ("upper", "any policy (upper bound)"), ("value_qmdp", f"{known} observed (QMDP)"),
     )  # fmt: skip
     print_table(("", ""), [[label, f"{record[name]:.4f}"] for name, label in labels])

@@ -127,6 +127,20 @@ def test_who_comes_from_far_away_pays_for_it(pool: Pool) -> None:
     assert (far <= near + 1e-5).all()  # the bound on costs after an episode's end is larger
 
 
+def test_an_episode_that_is_cut_off_counts_at_most_what_the_whole_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """People in a dead end act for ever. Their episodes end after `LONGEST` steps, and the rest is subtracted."""
+    table = sweep(graph_task([(0, 1, 1), (1, 3, 1), (0, 2, 1), (2, 2, 1)], goal=3, start=0))
+    pool = Pool.sample(table, 1, seed=0, setting=Setting(gamma=0.99, lapse=0.5))
+    travel = pool.setting.travel(1)
+    whole = returns(pool, "none", (0,), travel, episodes=40, seed=4)
+    monkeypatch.setattr("assist.certify.certificate.LONGEST", 20)
+    cut_off = returns(pool, "none", (0,), travel, episodes=40, seed=4)
+    stuck = whole < -50
+    assert 0 < stuck.sum() < 40
+    assert (cut_off[stuck] < whole[stuck]).all()
+    np.testing.assert_array_equal(cut_off[~stuck], whole[~stuck])
+
+
 def test_no_episodes_begin_after_the_time_limit(pool: Pool) -> None:
     travel, count = SETTING.travel(2), 1024 + 100
     whole = returns(pool, "none", (0, 1), travel, episodes=count, seed=4)

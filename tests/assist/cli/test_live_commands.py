@@ -307,8 +307,9 @@ def test_a_simulated_person_chooses_as_the_model_says(tiny: Table) -> None:
     human = Human(1.3, 0.8, 0.0, choices.h.copy(), Weighted(weights))
     expected, row, looked_back = human.chances(choices), choices.initial, 0
     plain = Human(1.3, 0.8, 0.0, choices.h.copy()).chances(choices)
+    task_states = choices.of_task(np.arange(choices.task_states))
     for _ in range(40):
-        state = choices.task_state(row)
+        state = int(task_states[row])
         if choices.goal[row]:
             break
         names = [choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))]

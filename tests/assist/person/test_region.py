@@ -204,6 +204,19 @@ def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: fl
     assert observed.sum() < bounds.value_qmdp == pytest.approx(observed.sum(), rel=1e-7)  # the margin for rounding
 
 
+def test_the_value_of_never_suggesting_is_at_most_that_on_the_whole_task() -> None:
+    """At the frontier, too, nothing is suggested; else suggestions that pay seem not to be worth their cost."""
+    edges = [(0, 1, 2), (1, 0, 2), (1, 2, 3), (2, 0, 3), (2, 3, 1), (3, 0, 1), (3, 2, 3)]
+    table, people = sweep(graph_task(edges, goal=3, start=0)), Population(beta=(0.0, 0.3), theta=(0.8, 1.0))
+    setting = Setting(gamma=0.9, c_suggest=0.05, trust="constant")
+    whole = solve(PersonProblem.of(table, setting=setting, population=people).pomdp)
+    part = solve(PersonProblem.of(table, setting=setting, population=people, states=1).pomdp)
+    assert part.pomdp.frontier is not None
+    assert whole.suggests
+    assert part.suggests
+    assert part.value_never <= whole.value_never < whole.lower - 1
+
+
 def test_nothing_is_executed_where_a_problem_breaks_off() -> None:
     """Executions stay inside; their numbers are those of the suggestions, and what they are called does not change."""
     part = TruncatedTask.of(table_of(INSTANCES["paper-fixed"]), states=5)

@@ -8,17 +8,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import thinned
+from conftest import graph_task, thinned
 from hypothesis import given
 from solved import NAMES, by_hand, few, problem, seeds, solution_of, some_beliefs
 from test_policy_iteration import PlainBackup
 from test_qmdp import GRID, make
 
 from assist.people import Choices, Grid, Human, HumanModel, Population, perceived_cost_to_go
-from assist.person import AssistPOMDP, OfRobots, SolverOptions, evaluate, solve
+from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, SolverOptions, evaluate, solve
 from assist.person.qmdp import qmdp
 from assist.person.search import relative_gap
-from planner import LimitError, Table
+from planner import LimitError, Table, sweep
 
 
 def detour() -> Choices:
@@ -336,3 +336,14 @@ def test_bounds_hold_where_there_is_no_time_for_the_first_ones(tiny_choices: Cho
 def test_limits_are_numbers(tiny_choices: Choices, name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} {value}: expected 0 or more"):
         solve(make(tiny_choices), **{name: value})
+
+
+@pytest.mark.parametrize("theta", [(0.3, 0.7), (0.5, 0.95)])
+def test_a_problem_whose_value_is_0_has_bounds(theta: tuple[float, float]) -> None:
+    """The upper bound is above 0 by a margin for rounding, and there is no relative gap."""
+    table = sweep(graph_task([(0, 1, 1), (0, 2, 1), (2, 0, 1)], goal=1, start=0))
+    setting = Setting(execute=True, c_execute=0.0, c_suggest=0.0, gamma=0.4, knowledge="exact")
+    free = PersonProblem.of(table, setting=setting, population=Population(beta=(0.0, 0.5), theta=theta)).pomdp
+    found = solve(free, gap=1e-6)
+    assert found.stopped == "gap"
+    assert found.lower <= 0.0 <= found.upper == pytest.approx(0.0, abs=1e-9)
