@@ -175,7 +175,10 @@ def _likelihood(
     for i in range(count):
         if answers.first[i]:
             person += 1
-            product[:], theta[:], logs[:] = weights, start, 0.0
+            for k in range(nodes):  # `product[:] = weights` would take longer to compile, as in `person.hsvi`
+                product[k], logs[k] = weights[k], 0.0
+                for each in range(len(theta)):
+                    theta[each, k] = start[k]
             heard, of_all, log_of_all = 0, 1.0, 0.0
         a = answers.sequence[i]
         odds = math.exp(min(max(-answers.shift[i], -MOST_LOG_ODDS), MOST_LOG_ODDS))
@@ -189,7 +192,8 @@ def _likelihood(
             p[:] = same if answers.follows[i] else 1.0 - same
             of_all *= p[0]
         if len(found):
-            found[i] = p
+            for k in range(nodes):
+                found[i, k] = p[k]
         if i + 1 == count or answers.first[i + 1]:
             highest = logs.max()
             if heard >= TOGETHER:

@@ -250,7 +250,8 @@ def _evaluate(
     for k in range(count):
         if not who[k]:
             continue
-        own[:], slope[:] = at[k], 1.0
+        for c in range(size):  # `own[:] = at[k]` would take half as long again to compile, as in `person.hsvi`
+            own[c], slope[c] = at[k, c], 1.0
         own[BETA] = small * np.expm1(at[k, BETA])
         slope[BETA] = own[BETA] + small
         first = 1.0 / (1.0 + np.exp(-at[k, THETA]))
@@ -317,7 +318,9 @@ def _by_trust(
         product[:] = 1.0
         for i in range(bounds[k], bounds[k + 1]):
             if begins[i]:
-                theta[:] = first
+                for e in range(len(rates)):
+                    for t in range(len(first)):
+                        theta[e, t] = first[t]
             top, heard = -np.inf, -1
             for a in range(options[i]):
                 p[a] = -np.inf
@@ -349,11 +352,19 @@ def _by_trust(
                         theta[e, t] = min(max(theta[e, t] + rates[e] * gain[i], 0.0), 1.0)
             since += 1
             if since == most:
-                total[k] += np.log(product)
-                product[:] = 1.0
+                _take_logs(total[k], product, 0.0)
                 since = 0
-        total[k] += np.log(product) + silent
+        _take_logs(total[k], product, silent)
     return total
+
+
+@njit(inner=True)
+def _take_logs(total: Floats, product: Floats, more: float) -> None:
+    """Add the logarithms of products and a number to totals, and begin the products anew."""
+    for e in range(total.shape[0]):
+        for t in range(total.shape[1]):
+            total[e, t] += np.log(product[e, t]) + more
+            product[e, t] = 1.0
 
 
 @dataclass(frozen=True)

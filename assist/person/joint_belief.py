@@ -290,7 +290,10 @@ def _advance(
     x: Ints, joint: Floats, spoken: Ints, evidence: Evidence, actions: Ints, optimal: NDArray[np.bool_],
     m: ProblemArrays, works: bool,
 ) -> tuple[Ints, Floats, float]:  # fmt: skip
-    """Return the possible rows after an action, their unnormalised probabilities, and that of a mistake."""
+    """Return the possible rows after an action, their unnormalised probabilities, and that of a mistake.
+
+    Whole-array forms (a[:] = b) would double the time that compiling takes, as in `hsvi`.
+    """
     likelihood, seen, rate, unseen, only = evidence
     types, thetas, number, found = joint.shape[1], joint.shape[2], 0, 0
     for s in range(len(x)):
@@ -303,16 +306,19 @@ def _advance(
         origin, applicable = x[s], False
         for a in range(m.counts[origin]):
             applicable |= actions[origin, a] == seen
-        working[:] = joint[s]
         for h in range(types):
+            for t in range(thetas):
+                working[h, t] = joint[s, h, t]
             if not m.goal[m.goal_of[h], origin]:
                 continue
             if unseen and not works:  # who has finished does nothing
                 if row[origin] < 0:
                     row[origin], to[found] = found, origin
                     found += 1
-                moved[row[origin], h] += joint[s, h]
-            working[h] = 0.0
+                for t in range(thetas):
+                    moved[row[origin], h, t] += joint[s, h, t]
+            for t in range(thetas):
+                working[h, t] = 0.0
         for a in range(m.counts[origin]):
             chance = _chance(likelihood, seen, rate, actions[origin, a], m.counts[origin], applicable)
             if chance == 0.0 or (only != -2 and actions[origin, a] != only):
@@ -326,7 +332,9 @@ def _advance(
             if row[target] < 0:
                 row[target], to[found] = found, target
                 found += 1
-            moved[row[target]] += chance * after
+            for h in range(types):
+                for t in range(thetas):
+                    moved[row[target], h, t] += chance * after[h, t]
             if is_mistake(optimal[origin, a], joint[s], origin, m.goal, m.goal_of):
                 erred += chance * mass
     return to[:found], moved[:found], erred

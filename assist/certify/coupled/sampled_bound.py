@@ -183,7 +183,7 @@ def _least_at_prices(
                         cost = loss[t, a, k, s] + x[t] * use[a, k, s] + gamma * ahead[to[t, a, k, s]]
                         if cost < here[s]:
                             here[s], chosen[t, s] = cost, a
-                ahead[:] = here
+                ahead, here = here, ahead
             total += ahead[start[k]]
             s = start[k]
             for t in range(W):
