@@ -73,7 +73,7 @@ def serve(
     with policy_errors():
         plan = replace(plan_of(team), public_url=at.public_url, trusted_proxies=at.trusted_proxy)
         if beside is not None:
-            beside.require_possible(plan.tasks.values())
+            beside.require_possible(plan.tasks.values(), travels=bool(plan.setting.fleet.each("travel_time").any()))
         with usage_errors(InputFileError):
             session = plan.session()
     for remark in () if beside is None else beside.strangers(session.people):

@@ -171,10 +171,6 @@ class Given(Generic[T]):
             place = (*place, part)
         self.put(place, value_of(text, _kind_at(self.kind, place)), source)
 
-    def is_fixed(self, name: str) -> bool:
-        """Whether a field was given by an option or a variable, so that no file can change it."""
-        return any(place[0] == name and not isinstance(source, Path) for place, (source, _) in self.sources.items())
-
     def files(self) -> dict[str, Path | None]:
         """Return the files among the values, such as that of a population, by their fields."""
         return {

@@ -87,7 +87,11 @@ class Client(Reports):
             except urllib.error.HTTPError as error:
                 if error.code not in AGAIN or time.monotonic() > asked + self.patience:
                     raise Refusal.answered(error.code, _detail(error)) from None
-            except (OSError, ValueError):  # the connection was lost, perhaps within an answer
+            except (
+                OSError,
+                ValueError,
+                http.client.HTTPException,
+            ):  # the connection broke, perhaps within an answer
                 if time.monotonic() > asked + self.patience:
                     raise
             time.sleep(self._pause)

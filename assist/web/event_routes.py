@@ -60,9 +60,9 @@ def inside_path(kind: type[Event]) -> list[str]:
     return re.findall(r"\{(\w+)\}", kind.path or "")
 
 
-def told(body: type[BaseModel]) -> Any:
-    """Return the annotation of the body of a request whose faults are told in one sentence."""
-    return Annotated[body, WrapValidator(partial(_said, body))]
+def told(body: type[BaseModel]) -> WrapValidator:
+    """Return what an annotation of the body of a request has, so that its faults are told in one sentence."""
+    return WrapValidator(partial(_said, body))
 
 
 def _said(body: type[BaseModel], given: Any, checked: ValidatorFunctionWrapHandler) -> Any:
@@ -95,7 +95,7 @@ def _add(router: APIRouter, kind: type[Event], view: type[Any]) -> None:
     parameters = [parameter(name, parameter.KEYWORD_ONLY, annotation=one) for name, one in needed]
     required = any(field.is_required() for field in body.model_fields.values())
     whole = {} if required else {"default": None}
-    checked = told(body)
+    checked: Any = Annotated[body, told(body)]
     annotation: Any = checked if required else checked | None
     parameters.append(parameter("body", parameter.KEYWORD_ONLY, annotation=annotation, **whole))
     take.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]

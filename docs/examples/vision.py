@@ -21,6 +21,8 @@ def camera(service: Client, person: str) -> Iterator[str]:
     while not service.see(person)["finished"]:
         time.sleep(0.5)  # a person takes time to act, and meanwhile a robot may arrive
         seen = service.see(person)
+        if seen["cost_to_go"] is None:
+            return  # the task cannot be completed any more
         yield seen["suggestion"] or chance.choice(seen["applicable"])
 
 
@@ -33,7 +35,8 @@ def main(link: str, person: str) -> None:
         except Refusal as error:  # it has seen something that cannot have been
             print(f"{error.status}: {error}", file=sys.stderr)
             continue
-        print(f"{person} {action}, remaining cost {seen['cost_to_go']:g}", flush=True)
+        cost = seen["cost_to_go"]
+        print(f"{person} {action}, {'a dead end' if cost is None else f'remaining cost {cost:g}'}", flush=True)
 
 
 if __name__ == "__main__":

@@ -44,15 +44,15 @@ class Beside:
 
         return Bridge(self.transport, link, **options)
 
-    def require_possible(self, tasks: Iterable[CostToGo | Goals]) -> None:
-        """Refuse settings with actions that no task has."""
+    def require_possible(self, tasks: Iterable[CostToGo | Goals], *, travels: bool) -> None:
+        """Refuse settings with actions that no task has, and those of ways that take no time."""
         from ...declare import tables as toml
         from ...people.goals import each_of
 
         names = {action for task in tasks for each in each_of(task) for action in each.task.actions}
         try:
             with toml.told(self.file):
-                self.settings.require_possible({tuple(name[1:-1].lower().split()) for name in names})
+                self.settings.require_possible({tuple(name[1:-1].lower().split()) for name in names}, travels=travels)
         except InputFileError as error:
             raise click.UsageError(str(error)) from None
 

@@ -140,8 +140,8 @@ def changed_settings(
 ) -> Callable[[], ReadAgain]:
     """Return a function that reads a configuration again, and returns what follows from it for a session.
 
-    It raises ValueError if the configuration is faulty. Distances that the environment or the command line sets are
-    read again from the same file.
+    It raises ValueError if the configuration is faulty. Distances that the environment or the command line sets, also
+    by another file, are read again from where they are.
     """
     import numpy as np
 
@@ -150,7 +150,7 @@ def changed_settings(
 
     command, at_first, setting = context.command, _fields(config), team.setting
     before = None if setting.distances is None else Path(setting.distances)
-    fixed = team.given.is_fixed("distances")
+    source, _ = team.given.sources.get(("distances",), (config, ""))
 
     def read() -> ReadAgain:
         try:
@@ -158,7 +158,7 @@ def changed_settings(
             again = Given(ServeSetting)
             again.file(config, settings.get("setting", {}), "setting")
             now = again.read().distances
-            file = before if fixed or now is None else Path(now)
+            file = before if source != config else None if now is None else Path(now)
             chosen, there = settings.get("tasks", {}), session.people
             met = session.see(lambda team: [name for name in chosen if team.desk.has_met(name)])
             _require_known(chosen, {*there, *met}, session.tasks)
@@ -179,10 +179,12 @@ def changed_settings(
             for name, task in chosen.items()
             if name in there and session.person(name)["task"] != task
         ]
+        gone = ["setting.distances"] if file is None and session.distance is not None else []
         present = _fields(config)
         changed = [one for one in {**at_first, **present} if at_first.get(one) != present.get(one)]
         bound = {*OF_SESSION, *(f"setting.{name}" for name in (*names_of(Setting), "population", "goal_prior"))}
-        return ReadAgain(events, [one for one in changed if one not in bound], [one for one in changed if one in bound])
+        restart, new_session = ([one for one in changed if (one in bound) is of] for of in (False, True))
+        return ReadAgain(events, restart, gone + new_session)
 
     return read
 

@@ -13,11 +13,14 @@ from ...declare.options import Given, setting_options
 from ...person.settings import Setting
 from ..terminal.console import usage_errors
 from .common import domain_option, instance_argument, seed_option, together
-from .population import chosen_setting
+from .population import RATES, chosen_setting
 from .settings import PersonSetting
 from .task import one_instance
 
-OF_TEAMS = ("c_move", "travel_time", "robots", "knowledge", "max_steps", "observation", "c_ask", "ask_error")
+OF_TEAMS = (
+    "c_move", "travel_time", "robots", "knowledge", "max_steps", "observation", "c_ask", "ask_error", "neighbours",
+    "population.noise", "population.sigma",
+)  # fmt: skip
 """Fields of a setting that the problem of one person does not have."""
 
 if TYPE_CHECKING:
@@ -67,6 +70,10 @@ def person_problem(
 
     setting, given = person.setting, person.given
     given.refuse(OF_TEAMS, "on the problem of one person")
+    if setting.believed_trust is not None:
+        given.refuse(["trust"], "on the problem of one person beside believed_trust")
+    if setting.believed_trust not in (None, "paper"):
+        given.refuse(RATES, "on the problem of one person with this believed_trust")
     if not setting.execute:
         given.refuse(["c_execute"], "without execute")
     found = one_instance(person.instance, person.domain)

@@ -444,18 +444,20 @@ class BridgeSettings:
             if FIELD.search(person) is None:
                 yield (*place, "person"), person
 
-    def require_possible(self, actions: Collection[Words]) -> None:
-        """Refuse actions, and names of values, that no task has.
+    def require_possible(self, actions: Collection[Words], *, travels: bool) -> None:
+        """Refuse actions, and names of values, that no task has, and what has no effect.
 
         Parameters
         ----------
         actions : collection of tuple of str
             The actions of all tasks, in lower case: their names and arguments.
+        travels : bool
+            Whether robots take time to go to people.
 
         Raises
         ------
         DeclarationError
-            An action can never be taken.
+            An action can never be taken, or a table has no effect.
         """
         for place, source in self.reporting():
             if (why := source.impossible(actions)) is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import field
 from typing import Annotated, Any, get_origin
 
@@ -11,6 +11,7 @@ from pydantic import Field
 from ...declare.declared import AnyTable, Expected, Place, Text, Texts, annotation_of, bare, declared
 from ...declare.refusals import Refusal
 from ...live.views import PersonView
+from ...people.action_names import Words
 from .messages import (
     FIELD,
     EventKind,
@@ -168,6 +169,12 @@ class Ros2Settings(Observing):
                 go_to.goal_for(person)  # type: ignore[union-attr]
             except Refusal as error:
                 raise wrong(str(error).partition(": ")[2], "go_to", "places", person) from None
+
+    def require_possible(self, actions: Collection[Words], *, travels: bool) -> None:
+        """Refuse also goals that are never sent, as a robot that takes no time is always there."""
+        if self.go_to is not None and not travels:
+            raise wrong("has no effect without travel_time", "go_to")
+        super().require_possible(actions, travels=travels)
 
     def uses(self) -> Iterator[tuple[Place, str, bool]]:
         """Yield the topics."""

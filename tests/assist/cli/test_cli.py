@@ -364,6 +364,24 @@ def test_a_printed_setting_is_accepted_unedited(command: tuple[object, ...], rec
     assert result.exit_code == 0, result.stderr
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ["neighbours.rule=outcome"],
+        ["population.noise=action"],
+        ["population.sigma=[0.5,2.0]"],
+        ["believed_trust=constant", "trust=paper"],
+        ["believed_trust=constant", "eta=0.3"],
+    ],
+)
+def test_one_person_has_neither_neighbours_nor_draws_of_a_population(settings: list[str], tmp_path: Path) -> None:
+    given = [word for one in settings for word in ("--set", one)]
+    result = invoke("export", KITTING / "tiny.pddl", "--out", tmp_path / "a.pomdpx", *given)
+    name = settings[-1].partition("=")[0]
+    assert f"--set {name} has no effect on the problem of one person" in result.stderr
+    assert (result.exit_code, [*tmp_path.iterdir()]) == (2, [])
+
+
 def test_values_without_effect_in_a_file_are_named_with_their_lines(tmp_path: Path) -> None:
     (file := tmp_path / "all.toml").write_text("gamma = 0.95\nmemory_limit = 1\nmax_states = 7\n")
     result = invoke("export", KITTING / "tiny.pddl", "--out", tmp_path / "a.pomdpx", "--setting", file)

@@ -11,6 +11,8 @@ import time
 import urllib.request
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import click
 import numpy as np
@@ -25,6 +27,7 @@ from assist import fit, read_log
 from assist.cli import main
 from assist.cli.options import task
 from assist.cli.options.config import read_config
+from assist.cli.options.live import changed_settings
 from assist.cli.options.settings import ServeSetting
 from assist.cli.serve import serve
 from assist.declare import InapplicableError
@@ -32,6 +35,7 @@ from assist.declare.declared import names_of
 from assist.declare.options import FieldOption, Given, Value, printed
 from assist.live import Session
 from assist.person.settings import Setting
+from assist.web.service import ReadAgain
 from planner import Table
 from planner.system.compiling import announce
 from planner.system.errors import InputFileError
@@ -274,6 +278,29 @@ def test_what_is_compiled_is_a_line_of_the_log_where_the_log_has_objects(
     logged = [(record.name, record.getMessage()) for record in caplog.records]
     told = [("assist.cli", said)], ""
     assert (logged, capsys.readouterr().err) == (told if level == logging.INFO else ([], f"{said}\n"))
+
+
+def test_reading_again_keeps_distances_that_another_file_sets_and_names_those_that_are_gone(tmp_path: Path) -> None:
+    for name, content in (("near", NEAR), ("far", FAR)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    config, other = tmp_path / "line.toml", tmp_path / "other.toml"
+    config.write_text('[setting]\ndistances = "near.json"')
+    session = Session(kit("tiny"), tmp_path / "journal.sqlite", distance=FAR)
+
+    def again(*files: tuple[Path, str]) -> ReadAgain:
+        given = Given(ServeSetting)
+        for file, table in files:
+            given.file(file, {"distances": "far.json"}, table)
+        team: Any = SimpleNamespace(setting=given.read(), given=given)
+        read = changed_settings(config, click.Context(serve), session, team)
+        return read()
+
+    assert again((config, "setting"), (other, "")) == ReadAgain([], [], [])
+    assert [one.kind for one in again((config, "setting")).events] == ["rearranged"]
+    config.write_text("[setting]")
+    assert again((config, "setting"), (other, "")) == ReadAgain([], [], [])
+    assert again((config, "setting")) == ReadAgain([], [], ["setting.distances"])
+    session.close()
 
 
 def test_changed_distances_are_restored_and_required(tmp_path: Path) -> None:

@@ -186,6 +186,22 @@ def test_bodies_of_every_size_and_kind_are_refused_before_they_are_kept(web: Web
     assert web.onward(ann, "consent").status_code == 200
 
 
+@pytest.mark.parametrize(
+    ("path", "body", "why"),
+    [
+        ("withdrawals", {"kode": "x"}, "kode: unknown; did you mean 'code'?"),
+        ("withdrawals", {}, "code: is missing; expected a text"),
+        ("withdrawals", {"code": 7}, "code 7: expected a text"),
+        ("links", {"participants": "ann"}, "participants 'ann': expected a list of texts"),
+        ("seats", {"id": "7", "simulated": 1}, "simulated 1: expected"),
+    ],
+)
+def test_a_fault_in_a_body_is_told_as_everywhere(web: Web, path: str, body: dict[str, Any], why: str) -> None:
+    answer = web.ask("POST", f"/api/study/{path}", None if path == "links" else VISITOR, json=body)
+    assert answer.status_code == 422
+    assert why in answer.json()["detail"]
+
+
 def test_two_devices_of_one_link_are_one_participant_and_a_replay_is_none(web: Web) -> None:
     """A signed link on a phone and a computer; each request of one device repeated by the other."""
     named, signature = signature_of(web, "7")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from conftest import ROOT
@@ -12,6 +14,12 @@ from serving import served
 from assist.web.client import Client
 
 EXAMPLES = ROOT / "docs" / "examples"
+
+
+def test_a_camera_stops_in_a_dead_end() -> None:
+    view = {"finished": False, "suggestion": None, "applicable": [], "cost_to_go": None}
+    camera = runpy.run_path(str(EXAMPLES / "vision.py"))["camera"]
+    assert list(camera(SimpleNamespace(see=lambda _: view), "ann")) == []
 
 
 @pytest.mark.slow

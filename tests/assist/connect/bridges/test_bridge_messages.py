@@ -140,6 +140,14 @@ def test_the_settings_in_the_documentation(tmp_path: Path, monkeypatch: pytest.M
     assert report == Report("person-1", "scan-1", values={"action": "(fetch box-a)"}, number=1)
 
 
+def test_goals_that_are_never_sent_are_refused(tmp_path: Path) -> None:
+    (file := tmp_path / "ros.toml").write_text(SHOWN[ROS2])
+    bridge = bridge_of(file)
+    bridge.require_possible([kit("tiny")], travels=True)
+    with pytest.raises(click.UsageError, match=rf"{file}:7: go_to: has no effect without travel_time"):
+        bridge.require_possible([kit("tiny")], travels=False)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -151,7 +159,7 @@ def test_the_settings_in_the_documentation(tmp_path: Path, monkeypatch: pytest.M
 def test_settings_with_actions_that_no_task_has_are_refused(text: str, message: str, tmp_path: Path) -> None:
     (file := tmp_path / "bridge.toml").write_text(text)
     with pytest.raises(click.UsageError, match=message):
-        bridge_of(file).require_possible([kit("tiny")])
+        bridge_of(file).require_possible([kit("tiny")], travels=False)
 
 
 def test_who_is_named_in_settings_and_is_not_in_the_team_is_told(tmp_path: Path) -> None:
@@ -159,7 +167,7 @@ def test_who_is_named_in_settings_and_is_not_in_the_team_is_told(tmp_path: Path)
         '[observe]\ntopic = "a"\nperson = "anne"\naction = "(place {item} slot-1)"\n[names]\n4711 = "box-b"'
     )
     made = bridge_of(file)
-    made.require_possible([kit("tiny")])
+    made.require_possible([kit("tiny")], travels=False)
     assert made.strangers(["anne"]) == []
     assert made.strangers(["ann"]) == [f"{file}: observe.person: 'anne' is not in the team yet; did you mean 'ann'?"]
 
