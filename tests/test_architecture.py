@@ -20,8 +20,8 @@ ROOT = Path(__file__).resolve().parent.parent
 ROOMS = {
     "planner.system": "errors arrays results files limits processes threads signs progress compiling jit workers",
     "planner.pddl": """instances instance_finder declarations numeric_expressions formulas reader conditions
-        timed_schemas durative static_facts metric numeric_schemas value_sets saturation value_ranges value_encoder
-        value_scope numeric_encoding numeric_compiler recursion compilation writer validation plan_execution
+        compilation recursion timed_schemas durative static_facts metric numeric_schemas value_sets saturation
+        value_ranges value_encoder value_scope numeric_encoding numeric_compiler writer validation plan_execution
         built_problems""",
     "planner.grounding": "fast_downward task leaving translation semantics",
     "planner.search.kernels": "packed_successors state_sets ranked_successors block_steps",

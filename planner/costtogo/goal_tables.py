@@ -110,7 +110,7 @@ def _with_derived_goal(task: Task, limits: Limits) -> Task:
     """
     try:
         reading = read(task.instance)
-        same = replace(grounded(reading, limits)[1], note=task.note) == task
+        same = grounded(reading, limits)[1].sas == task.sas
         found = grounded(with_derived_goal(reading), limits)[1] if same else task
     except PDDLError:
         return task

@@ -26,9 +26,11 @@ from dataclasses import replace
 
 from ..grounding.task import Task
 from ..grounding.translation import ground
-from ..pddl.compilation import MOST_VALUES, Compilation, Compiler
+from ..pddl.compilation import MOST_VALUES, Compilation
 from ..pddl.instances import PDDLError
+from ..pddl.numeric_compiler import Compiler
 from ..pddl.reader import Reading
+from ..pddl.recursion import without_recursive_quantifiers
 from ..pddl.value_ranges import UnprovenError
 from ..pddl.value_sets import Trial
 from ..system.errors import UnsuitedError
@@ -57,6 +59,9 @@ def grounded(
 
     A `PDDLError` says what cannot be compiled, a `LimitError` that the limits of the grounding are reached.
     """
+    reading = without_recursive_quantifiers(reading)
+    if not reading.numeric:
+        return Compilation(reading), ground(Compilation(reading), limits)
     compiler = Compiler(reading, most_values)
     end = None if limits.seconds is None else time.monotonic() + limits.seconds
     try:

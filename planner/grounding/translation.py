@@ -211,7 +211,7 @@ def _fact(fact: str, compilation: Compilation) -> str:
 
 def check(reading: Reading, task: Task) -> None:
     """Compare a grounded task with the reading of its files; raise a `PDDLError` where they differ."""
-    objects = {**reading.domain.constants, **reading.problem.objects}
+    objects = reading.objects
     known = reading.domain.actions
     for ground, cost in zip(task.actions, task.costs, strict=True):
         name, *arguments = ground[1:-1].split()

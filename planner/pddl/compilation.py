@@ -1,24 +1,20 @@
 """Compilation of an instance into classical planning with action costs, which Fast Downward's translator grounds.
 
-What the translator does not read is finite for one person who acts in sequence, and is compiled away. A `Compilation`
-says how the compiled names and numbers are shown, so that users only meet those of their files.
+What the translator does not read is finite for one person who acts in sequence, and is compiled away
+(`numeric_compiler`, `recursion`). A `Compilation` says how the compiled names and numbers are shown, so that users only
+meet those of their files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
-from . import numeric_compiler
-from .conditions import COMPLEMENT, TRUE
+from .conditions import TRUE
 from .declarations import Symbol
-from .formulas import TIMES, listed, word
-from .instances import Expression
-from .numeric_expressions import terms_of
-from .reader import Action, DurativeAction, Reading, Rule
-from .recursion import without_recursive_quantifiers
-from .value_sets import Trial
+from .formulas import listed, word
+from .reader import Action, Reading, Rule
 
 MOST_VALUES = 1_000
 """Largest number of values of one number, unless stated otherwise."""
@@ -72,61 +68,6 @@ class Compilation:
         return replace(self, reading=replace(self.reading, domain=wider, problem=replace(problem, goal=fact)))
 
 
-class Compiler:
-    """The compilation of one instance, for which values of numbers without a proven bound may be tried.
-
-    A fluent may have `most_values` values. What cannot be compiled raises a `PDDLError`, which says why.
-    """
-
-    def __init__(self, reading: Reading, most_values: int = MOST_VALUES) -> None:
-        self.reading = reading = without_recursive_quantifiers(reading)
-        self._numeric = numeric_compiler.Compiler(reading, most_values) if reading.numeric else None
-
-    def compilation(self, trial: Trial | None = None) -> Compilation:
-        """Return the compilation; a classical instance is its own.
-
-        Where a function has no proven bound, or too many values, this raises an `UnprovenError`, unless there is a
-        `trial`.
-        """
-        if self._numeric is None:
-            return Compilation(self.reading)
-        found = self._numeric.result(trial)
-        notes = (*found.notes, *without_value(self.reading), *self._numeric.forgotten())
-        return Compilation(found.reading, found.unit, found.actions, found.numbers, found.compiled, notes)
-
-
-def condition_of(action: Action | DurativeAction) -> Expression:
-    """Return all that an action requires."""
-    return action.precondition if isinstance(action, Action) else action.condition
-
-
-def without_value(reading: Reading) -> Iterator[str]:
-    """Yield a sentence on each function that conditions of actions read, and that never has a value."""
-    actions = [each for each in reading.domain.entries if not isinstance(each, Rule)]
-    known = {term[0] for term in reading.problem.values}
-    assigned = {
-        part.parts[1].head: each.name
-        for each in actions
-        for part in each.effect.walk()
-        if part.head == "assign" and part.parts[1].head not in _compared(condition_of(each)) - known
-    }
-    known |= assigned.keys()
-    for name in reading.domain.functions:
-        readers = [each.name for each in actions if any(part.head == name for part in condition_of(each).walk())]
-        if readers and name not in known and name != "total-cost":
-            of = f"condition of {readers[0]}" if len(readers) == 1 else f"conditions of {', '.join(readers)}"
-            yield f"({name}) has no value at the beginning, so that no comparison with it holds, as in the {of}"
-
-
-def _compared(condition: Expression) -> set[str]:
-    """Return the functions without whose value a condition does not hold: those of comparisons that it surely makes."""
-    if condition.head in ("and", *TIMES):
-        return {name for part in condition.parts[1:] for name in _compared(part)}
-    if condition.head in COMPLEMENT:
-        return {term.head for side in condition.parts[1:] for term in terms_of(side)}
-    return set()
-
-
 def with_derived_goal(reading: Reading) -> Reading:
     """Return a reading whose goal is a derived predicate, so that it changes nothing else in the grounded task."""
     domain, place = reading.domain, reading.problem.init
@@ -136,14 +77,9 @@ def with_derived_goal(reading: Reading) -> Reading:
         reading,
         domain=replace(
             domain,
-            constants={**domain.constants, **reading.problem.objects},  # which the rule names
+            constants=reading.objects,  # which the rule names
             predicates={**domain.predicates, head.name: head},
             entries=(*domain.entries, goal),
         ),
         problem=replace(reading.problem, objects={}, goal=listed(word(head.name))),
     )
-
-
-def compiled(reading: Reading, *, most_values: int = MOST_VALUES) -> Compilation:
-    """Return the compilation of an instance whose numbers have proven bounds; a classical instance is its own."""
-    return Compiler(reading, most_values).compilation()

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from .formulas import COMPARISONS, listed, word
 from .instances import Expression
-from .numeric_expressions import number
+from .numeric_expressions import number, terms_of
 
 TRUE = listed(word("and"))
 FALSE = listed(word("or"))
@@ -131,6 +131,11 @@ def comparisons(condition: Expression) -> Iterator[Expression]:
             yield from comparisons(part)
     elif condition.head in ("forall", "exists"):
         yield from comparisons(condition.parts[2])
+
+
+def compared_terms(condition: Expression) -> list[Expression]:
+    """Return the functions with their arguments that the comparisons within a condition read."""
+    return [term for each in comparisons(condition) for side in each.parts[1:] for term in terms_of(side)]
 
 
 def is_numeric(condition: Expression) -> bool:

@@ -21,7 +21,7 @@ from .conditions import (
     FALSE,
     TRUE,
     changed,
-    comparisons,
+    compared_terms,
     conjunction,
     disjunction,
     exclude,
@@ -34,7 +34,7 @@ from .conditions import (
 from .declarations import Typed, refuse
 from .formulas import listed, word
 from .instances import Expression, Place
-from .numeric_expressions import DURATION, OPERATIONS, terms_of
+from .numeric_expressions import DURATION, OPERATIONS
 from .timed_schemas import END, START, Change, Literal, TimedSchema, reads_duration
 
 ZERO = word("0")
@@ -44,8 +44,7 @@ ZERO = word("0")
 class Schema:
     """An action in which nothing has a time. All conditions are in negation normal form (see `conditions`).
 
-    `cost` is its cost in the unit of the file, the sum of what is at stake in the metric; `duration` is None for an
-    action that takes no time. `upper` lists numbers that the duration must not exceed.
+    `duration` is None for an action that takes no time.
     """
 
     name: str
@@ -259,8 +258,7 @@ class _Start:
         Whether a term with a quantified variable is one that the start changes is tested by equalities; those that are
         `apart` are not.
         """
-        terms = [each for one in comparisons(leaf) for side in one.parts[1:] for each in terms_of(side)]
-        for term in terms:
+        for term in compared_terms(leaf):
             for _, change in self.changes:
                 alike = unified(change, term)
                 if alike is None or (term, change.term) in apart or free_variables(alike).keys() <= self.parameters:
@@ -331,22 +329,12 @@ def bound_in(schema: TimedSchema, bound: Mapping[str, str]) -> TimedSchema:
 
         return changed(condition, leaf)
 
-    def within(change: Change) -> Change:
-        return replace(
-            change, term=substituted(change.term, bound), amount=substituted(change.amount, bound),
-            condition=numeric(change.condition),
-        )  # fmt: skip
-
+    schema = schema.mapped(numeric)
+    changes = (
+        (time, before, replace(each, term=substituted(each.term, bound), amount=substituted(each.amount, bound)))
+        for time, before, each in schema.changes
+    )
     durations = schema.durations
     if durations is not None:
         durations = tuple((time, how, substituted(amount, bound)) for time, how, amount in durations)
-    return replace(
-        schema,
-        conditions=tuple((time, numeric(each)) for time, each in schema.conditions),
-        literals=tuple(
-            (time, numeric(before), replace(each, condition=numeric(each.condition)))
-            for time, before, each in schema.literals
-        ),
-        changes=tuple((time, numeric(before), within(each)) for time, before, each in schema.changes),
-        durations=durations,
-    )
+    return replace(schema, changes=tuple(changes), durations=durations)

@@ -8,19 +8,20 @@ encoding as facts (`numeric_encoding`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from math import prod
 
 from ..system.errors import UnsuitedError
 from . import metric, numeric_encoding, numeric_schemas, timed_schemas, value_encoder
-from .conditions import FALSE, TRUE, conjuncts, free_variables, is_numeric, normal_form
+from .compilation import MOST_VALUES, Compilation
+from .conditions import COMPLEMENT, FALSE, TRUE, conjuncts, free_variables, is_numeric, normal_form
 from .declarations import OBJECT, Symbol, Typed, Types, refuse
-from .formulas import LARGEST_COST, Cost, listed, word
+from .formulas import LARGEST_COST, TIMES, Cost, listed, word
 from .instances import Expression
 from .numeric_encoding import EncodedAction
-from .numeric_expressions import Number, as_shown
+from .numeric_expressions import Number, as_shown, terms_of
 from .numeric_schemas import Preparation
 from .reader import Action, Domain, DurativeAction, Problem, Reading, Rule
 from .saturation import Read, reads, saturations
@@ -34,25 +35,17 @@ MOST_ROWS = 10_000
 """Combinations of objects up to which forgotten values are searched for."""
 
 
-@dataclass(frozen=True)
-class Classical:
-    """A classical reading, and what it has from the files; see `Compilation`."""
-
-    reading: Reading
-    unit: Fraction
-    actions: Mapping[str, tuple[str, int]]
-    numbers: Mapping[str, tuple[str, Mapping[str, str]]]
-    compiled: Mapping[str, int]
-    notes: tuple[str, ...]
-
-
 class Compiler:
-    """One compilation, in which the values of numbers may be tried; what is independent of these is done once."""
+    """The compilation of one instance, for which values of numbers without a proven bound may be tried.
 
-    def __init__(self, reading: Reading, most_values: int) -> None:
+    A fluent may have `most_values` values. What is independent of the values is done once. What cannot be compiled
+    raises a `PDDLError`, which says why.
+    """
+
+    def __init__(self, reading: Reading, most_values: int = MOST_VALUES) -> None:
         self.reading = reading
         self.file = reading.instance.domain
-        self.objects = {**reading.domain.constants, **reading.problem.objects}
+        self.objects = reading.objects
         timed = timed_schemas.of_reading(reading)
         goal = normal_form(reading.problem.goal, self.objects)
         rules = [(rule, normal_form(rule.condition, self.objects)) for rule in reading.domain.rules]
@@ -80,11 +73,11 @@ class Compiler:
         self.costed = [each for schema in timed for each in preparation.prepared(schema)]
         self.bounds = self._bounds(most_values)
 
-    def result(self, trial: Trial | None = None) -> Classical:
-        """Return an instance without numbers and durations.
+    def compilation(self, trial: Trial | None = None) -> Compilation:
+        """Return the compilation.
 
-        What cannot be compiled raises a `PDDLError`: an `UnprovenError` if there is no `trial`, and a number has no
-        proven bound or too many values.
+        Where a function has no proven bound, or too many values, this raises an `UnprovenError`, unless there is a
+        `trial`.
         """
         encoder = self._encoder(self.bounds.sets(trial))
         actions = []
@@ -98,7 +91,7 @@ class Compiler:
                 actions.append(action)
         return self._assembled(encoder, actions)
 
-    def forgotten(self) -> Iterator[str]:
+    def _forgotten(self) -> Iterator[str]:
         """Yield a sentence on each static function that most objects have a value of, but not all that an action takes.
 
         The action is never applicable to the others. Objects that an action takes twice do not count, such as a way
@@ -208,10 +201,10 @@ class Compiler:
     def _signatures(self) -> list[Action | DurativeAction]:
         return [entry for entry in self.reading.domain.entries if not isinstance(entry, Rule)]
 
-    def _assembled(self, encoder: Encoder, actions: list[EncodedAction]) -> Classical:
-        """Return the classical reading of encoded actions."""
+    def _assembled(self, encoder: Encoder, actions: list[EncodedAction]) -> Compilation:
+        """Return the compilation with encoded actions."""
         domain, problem = self.reading.domain, self.reading.problem
-        root = _Root(self.reading, encoder.fresh("object-of-file"))
+        root = _Root(self.reading, encoder.fresh("object-of-file"), encoder.fresh("never"))
         every = [cost for action in actions for cost in action.costs.values()]
         unit = metric.unit(every)
         self._check_costs(actions, unit)
@@ -257,11 +250,9 @@ class Compiler:
             head = Symbol(name, (), place)
             predicates[name] = head
             entries.append(Rule(head, root.formula(condition)))
-        never = Symbol(encoder.fresh("never"), (), place)
-        text = _without_false(root.formula(wanted), never.name)
-        entries = [_replaced(entry, never.name) for entry in entries]
-        if any(_mentions(entry, never.name) for entry in entries) or _mentions_text(text, never.name):
-            predicates[never.name] = never
+        text = root.formula(wanted)
+        if root.uses_never:
+            predicates[root.never] = Symbol(root.never, (), place)
         for each in value_encoder.relation_symbols(encoder, place):
             predicates[each.name] = each
         facts = dict(problem.facts)
@@ -280,10 +271,8 @@ class Compiler:
             for name, predicate in encoder.names.items()
         }  # fmt: skip
         durations = sum(isinstance(entry, DurativeAction) for entry in domain.entries)
-        notes = [*self.metric.notes, *self._notes()]
-        return Classical(
-            reading, unit, names, shown, {"durations": durations, "numbers": len(encoder.names)}, tuple(notes)
-        )  # fmt: skip
+        notes = (*self.metric.notes, *self._notes(), *without_value(self.reading), *self._forgotten())
+        return Compilation(reading, unit, names, shown, {"durations": durations, "numbers": len(encoder.names)}, notes)
 
     def _notes(self) -> list[str]:
         """Return what is said of durations that are free."""
@@ -302,6 +291,38 @@ class Compiler:
                        f"than {LARGEST_COST} units{scale}; expected smaller costs, or fewer decimals")  # fmt: skip
 
 
+def condition_of(action: Action | DurativeAction) -> Expression:
+    """Return all that an action requires."""
+    return action.precondition if isinstance(action, Action) else action.condition
+
+
+def without_value(reading: Reading) -> Iterator[str]:
+    """Yield a sentence on each function that conditions of actions read, and that never has a value."""
+    actions = [each for each in reading.domain.entries if not isinstance(each, Rule)]
+    known = {term[0] for term in reading.problem.values}
+    assigned = {
+        part.parts[1].head: each.name
+        for each in actions
+        for part in each.effect.walk()
+        if part.head == "assign" and part.parts[1].head not in _compared(condition_of(each)) - known
+    }
+    known |= assigned.keys()
+    for name in reading.domain.functions:
+        readers = [each.name for each in actions if any(part.head == name for part in condition_of(each).walk())]
+        if readers and name not in known and name != "total-cost":
+            of = f"condition of {readers[0]}" if len(readers) == 1 else f"conditions of {', '.join(readers)}"
+            yield f"({name}) has no value at the beginning, so that no comparison with it holds, as in the {of}"
+
+
+def _compared(condition: Expression) -> set[str]:
+    """Return the functions without whose value a condition does not hold: those of comparisons that it surely makes."""
+    if condition.head in ("and", *TIMES):
+        return {name for part in condition.parts[1:] for name in _compared(part)}
+    if condition.head in COMPLEMENT:
+        return {term.head for side in condition.parts[1:] for term in terms_of(side)}
+    return set()
+
+
 def _derived(rules: Iterable[tuple[Rule, Expression]], changed: frozenset[str]) -> frozenset[str]:
     """Return the derived predicates that depend on facts that actions change."""
     found = {rule.head.name for rule, condition in rules if is_numeric(condition)}
@@ -316,10 +337,10 @@ def _derived(rules: Iterable[tuple[Rule, Expression]], changed: frozenset[str]) 
 
 
 class _Root:
-    """A type for all objects of the files, beside that of the values."""
+    """A type for all objects of the files, beside that of the values, and a fact that never holds."""
 
-    def __init__(self, reading: Reading, name: str) -> None:
-        self.name = name
+    def __init__(self, reading: Reading, name: str, never: str) -> None:
+        self.name, self.never, self.uses_never = name, never, False
         self.reading = reading
         self.unions = {tuple(self.kind(each) for each in kinds): union for kinds, union in reading.unions.items()}
 
@@ -342,7 +363,13 @@ class _Root:
         return Types({OBJECT: (), self.name: (OBJECT,), values: (OBJECT,), **parents}, before.places)
 
     def formula(self, formula: Expression) -> Expression:
-        """Return a formula whose quantified variables have the types that stand for their own."""
+        """Return a formula whose quantified variables have the types that stand for their own.
+
+        The empty disjunction, which some readers do not know, becomes the fact that never holds.
+        """
+        if formula == FALSE:
+            self.uses_never = True
+            return listed(word(self.never))
         if formula.word or not formula.parts:
             return formula
         if formula.head in ("forall", "exists"):
@@ -350,32 +377,3 @@ class _Root:
             words[2::3] = map(self.kind, words[2::3])
             return listed(formula.parts[0], listed(*map(word, words)), *map(self.formula, formula.parts[2:]))
         return formula._replace(parts=tuple(map(self.formula, formula.parts)))
-
-
-def _without_false(formula: Expression, never: str) -> Expression:
-    """Return a formula in which the empty disjunction is a fact that never holds."""
-    if formula == FALSE:
-        return listed(word(never))
-    if formula.word or not formula.parts:
-        return formula
-    return formula._replace(parts=tuple(_without_false(part, never) for part in formula.parts))
-
-
-def _replaced(entry: Action | DurativeAction | Rule, never: str) -> Action | DurativeAction | Rule:
-    if isinstance(entry, Rule):
-        return replace(entry, condition=_without_false(entry.condition, never))
-    assert isinstance(entry, Action)
-    return replace(
-        entry, precondition=_without_false(entry.precondition, never), effect=_without_false(entry.effect, never)
-    )
-
-
-def _mentions(entry: Action | DurativeAction | Rule, name: str) -> bool:
-    if isinstance(entry, Rule):
-        return _mentions_text(entry.condition, name)
-    assert isinstance(entry, Action)
-    return _mentions_text(entry.precondition, name) or _mentions_text(entry.effect, name)
-
-
-def _mentions_text(formula: Expression, name: str) -> bool:
-    return any(each.head == name for each in formula.walk())

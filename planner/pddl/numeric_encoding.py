@@ -13,13 +13,13 @@ grounds what is reachable only, and finds that each fluent is one variable:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .conditions import (
     COMPLEMENT,
     FALSE,
     TRUE,
-    comparisons,
+    compared_terms,
     conjunction,
     conjuncts,
     disjunction,
@@ -29,7 +29,7 @@ from .declarations import Typed, refuse
 from .durative import Schema, key
 from .formulas import listed, word
 from .instances import Expression, Place
-from .numeric_expressions import OPERATIONS, Number, as_shown, terms_of
+from .numeric_expressions import OPERATIONS, Number, as_shown
 from .numeric_schemas import Costed
 from .static_facts import literal_number
 from .timed_schemas import Change, Literal
@@ -177,7 +177,7 @@ def _static_assignment(scope: Scope, change: Change) -> list[Expression]:
         common = encoder.saturations.get(next(iter(encoder.fluents[name]), ("",)))
         new = encoder.fluent_object(name, literal if common is None else common.normal(literal))
         if not change.variables:
-            return _replacement(scope, _under(change, condition), new)
+            return _replacement(scope, replace(change, condition=condition), new)
         return [_any_old(scope, change, change.variables, condition, scope.fact(change.term, new))]
     where = inner if change.variables else scope
     variable = where.fresh()
@@ -187,14 +187,10 @@ def _static_assignment(scope: Scope, change: Change) -> list[Expression]:
         change.term if special else None,
     )  # fmt: skip
     if not change.variables:
-        return _replacement(scope, _under(change, condition), variable)
+        return _replacement(scope, replace(change, condition=condition), variable)
     more = dict.fromkeys(inner.variables, encoder.value_type)
     whole = conjunction([condition, *inner.atoms])
     return [_any_old(scope, change, {**change.variables, **more}, whole, scope.fact(change.term, variable))]
-
-
-def _under(change: Change, condition: Expression) -> Change:
-    return Change(change.variables, condition, change.term, change.amount, change.grows, change.place)
 
 
 def _literal(scope: Scope, literal: Literal) -> Expression:
@@ -262,7 +258,7 @@ def goal(encoder: Encoder, condition: Expression, place: Place) -> tuple[Express
             return conjunction(inner) if head == "and" else disjunction(inner)
         if head not in COMPLEMENT and head != "failed":
             return each
-        terms = {key(t): t for c in comparisons(each) for side in c.parts[1:] for t in terms_of(side)}
+        terms = {key(term): term for term in compared_terms(each)}
         if len(terms) == 1:
             from .value_sets import possible
 

@@ -16,7 +16,7 @@ from . import timed_schemas
 from .conditions import (
     FALSE,
     TRUE,
-    comparisons,
+    compared_terms,
     conjunction,
     conjuncts,
     exclude,
@@ -68,7 +68,7 @@ def roles(
     read: set[str] = set()
 
     def add(condition: Expression) -> None:
-        read.update(term.head for each in comparisons(condition) for side in each.parts[1:] for term in terms_of(side))
+        read.update(term.head for term in compared_terms(condition))
 
     for condition in (goal, *rules):
         add(condition)
@@ -121,7 +121,7 @@ class Preparation:
         timed = self._without_dead(timed)
         found = []
         try:
-            timed = self._without_quantifiers(self._written_out(timed))
+            timed = self._written_out(timed).mapped(self.statics.expanded)
             for started in self._started(timed):
                 for variant in self._distinct(started):
                     decided = self._decided(merged(self.file, variant, self.derived))
@@ -226,35 +226,14 @@ class Preparation:
         found = []
         for time, condition in schema.conditions:
             if time != START:
-                found += [t for each in comparisons(condition) for side in each.parts[1:] for t in terms_of(side)]
+                found += compared_terms(condition)
         for time, _, literal in schema.literals:
             if time == END:
-                found += [
-                    t for each in comparisons(literal.condition) for side in each.parts[1:] for t in terms_of(side)
-                ]
+                found += compared_terms(literal.condition)
         for time, _, change in schema.changes:
             if time == END:
-                found += [change.term, *terms_of(change.amount)]
-                found += [
-                    t for each in comparisons(change.condition) for side in each.parts[1:] for t in terms_of(side)
-                ]
+                found += [change.term, *terms_of(change.amount), *compared_terms(change.condition)]
         return [term for term in found if not any(part.word == "" for part in term.parts)]
-
-    def _without_quantifiers(self, timed: TimedSchema) -> TimedSchema:
-        """Return the schema with comparisons under quantifiers written out for all objects."""
-        expanded = self.statics.expanded
-        return replace(
-            timed,
-            conditions=tuple((time, expanded(each)) for time, each in timed.conditions),
-            literals=tuple(
-                (time, expanded(before), replace(each, condition=expanded(each.condition)))
-                for time, before, each in timed.literals
-            ),
-            changes=tuple(
-                (time, expanded(before), replace(each, condition=expanded(each.condition)))
-                for time, before, each in timed.changes
-            ),
-        )
 
     @staticmethod
     def _started(timed: TimedSchema) -> Iterator[TimedSchema]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from . import declarations, instance_finder, instances
@@ -108,6 +109,17 @@ class Reading:
     unions: Mapping[tuple[str, ...], str] = field(default_factory=dict)
     numeric: bool = False
 
+    @cached_property
+    def objects(self) -> Mapping[str, Typed]:
+        """All objects, with the constants of the domain."""
+        return {**self.domain.constants, **self.problem.objects}
+
+    def of_kind(self, kind: str) -> tuple[str, ...]:
+        """Return the objects of a type, or of a union of types."""
+        kinds: Iterable[str] = next((kinds for kinds, union in self.unions.items() if union == kind), (kind,))
+        fits = self.domain.types.fits
+        return tuple(name for name, each in self.objects.items() if fits(each.kinds[0], kinds))
+
     @property
     def has_costs(self) -> bool:
         """Whether the files mention the sum of costs."""
@@ -161,15 +173,10 @@ def _without_empty_types(reading: Reading) -> Reading:
     What is for all of no objects holds, as an effect it is none; what is for some of them does not hold.
     """
     domain, problem = reading.domain, reading.problem
-    objects = {**domain.constants, **problem.objects}.values()
-    named = {union: kinds for kinds, union in reading.unions.items()}
-
-    def empty(kind: Expression) -> bool:
-        kinds = named.get(kind.word, (kind.word,))
-        return not any(domain.types.fits(each.kinds[0], kinds) for each in objects)
 
     def decided(formula: Expression) -> Expression:
-        if formula.head in ("forall", "exists") and any(map(empty, formula.parts[1].parts[2::3])):
+        kinds = formula.parts[1].parts[2::3] if formula.head in ("forall", "exists") else ()
+        if not all(reading.of_kind(kind.word) for kind in kinds):
             return listed(word("and" if formula.head == "forall" else "or"))
         return formula._replace(parts=tuple(map(decided, formula.parts))) if formula.parts else formula
 
@@ -194,9 +201,8 @@ def _check_repeated(reading: Reading, action: Action) -> None:
     if action.cost is None or len(variables) == len(set(variables)):
         return
     kinds = {each.name: each.kinds for each in action.parameters if each.name in variables}
-    objects = {**reading.domain.constants, **reading.problem.objects}
     fits = reading.domain.types.fits
-    ranges = [[name for name, each in objects.items() if fits(each.kinds[0], k)] for k in kinds.values()]
+    ranges = [[name for name, each in reading.objects.items() if fits(each.kinds[0], k)] for k in kinds.values()]
     for chosen in itertools.product(*ranges):
         bound = dict(zip(kinds, chosen, strict=True))
         if action.cost.of(bound, reading.problem.values) is None:

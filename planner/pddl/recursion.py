@@ -9,7 +9,7 @@ is taken out: what depends on its own negation still does, and is refused.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 from math import prod
@@ -44,7 +44,7 @@ def without_recursive_quantifiers(reading: Reading) -> Reading:
         reading,
         domain=replace(
             domain,
-            constants={**domain.constants, **reading.problem.objects},  # which the rules name
+            constants=reading.objects,  # which the rules name
             predicates={**domain.predicates, **added},
             entries=(*entries, *rules.added),
         ),
@@ -93,7 +93,7 @@ class _Rules:
     def _written_out(self, rule: Rule, formula: Expression, body: Expression, kinds: Mapping[str, str]) -> Expression:
         """Return the conjunction of a new predicate's atoms, whose rule has the body as condition."""
         own, place = variables_of(formula.parts[1]), rule.head.place
-        objects = [self._of_kind(kind) for kind in own.values()]
+        objects = [self.reading.of_kind(kind) for kind in own.values()]
         if prod(map(len, objects)) > MOST_OBJECTS:
             refuse(self.reading.instance.domain, place, f"'{rule.head.name}' depends on itself within (forall ...), "
                    f"for more than {MOST_OBJECTS} combinations of objects; expected fewer")  # fmt: skip
@@ -106,9 +106,3 @@ class _Rules:
         self.added.append(Rule(Symbol(name, tuple(typed), place), body))
         atom = listed(word(name), *map(word, outer), *map(word, own))
         return listed(word("and"), *(substituted(atom, dict(zip(own, row, strict=True))) for row in product(*objects)))
-
-    def _of_kind(self, kind: str) -> list[str]:
-        reading = self.reading
-        kinds: Iterable[str] = next((kinds for kinds, union in reading.unions.items() if union == kind), (kind,))
-        objects = {**reading.domain.constants, **reading.problem.objects}
-        return [name for name, each in objects.items() if reading.domain.types.fits(each.kinds[0], kinds)]

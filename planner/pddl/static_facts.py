@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Container, Iterable, Mapping, Sequence
+from functools import cache
 from math import prod
 
 from ..system.errors import UnsuitedError
@@ -30,13 +31,7 @@ class Statics:
     """
 
     def __init__(self, reading: Reading, predicates: Iterable[str], functions: Iterable[str]) -> None:
-        types = reading.domain.types
-        self.objects = {
-            name: each.kinds[0] for name, each in {**reading.domain.constants, **reading.problem.objects}.items()
-        }
-        self._named = {union: kinds for kinds, union in reading.unions.items()}
-        self._types = types
-        self._of_kind: dict[str, tuple[str, ...]] = {}
+        self.of_kind = cache(reading.of_kind)
         self._work = 0
         self.facts: dict[str, set[tuple[str, ...]]] = {name: set() for name in predicates}
         for name, *arguments in reading.problem.facts:
@@ -46,15 +41,6 @@ class Statics:
         for (name, *arguments), value in reading.problem.values.items():
             if name in self.values:
                 self.values[name][tuple(arguments)] = value
-
-    def of_kind(self, kind: str) -> tuple[str, ...]:
-        """Return the objects of a type, or of a union of types."""
-        if kind not in self._of_kind:
-            kinds = self._named.get(kind, (kind,))
-            self._of_kind[kind] = tuple(
-                name for name, own in self.objects.items() if self._types.fits(own, kinds)
-            )  # fmt: skip
-        return self._of_kind[kind]
 
     def is_static(self, expression: Expression) -> bool:
         """Whether a numeric expression reads static functions only."""

@@ -7,8 +7,8 @@ in which nothing has a time.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 from .conditions import FALSE, TRUE, conjunction, normal_form, quantified, substituted, variables_of
 from .declarations import Typed, refuse
@@ -64,20 +64,31 @@ class TimedSchema:
 
     def with_condition(self, condition: Expression) -> TimedSchema:
         """Return the schema with one more condition in the state before the action."""
-        return TimedSchema(
-            self.name, self.parameters, (*self.conditions, (START, condition)), self.literals, self.changes,
-            self.durations, self.place,
-        )  # fmt: skip
+        return replace(self, conditions=(*self.conditions, (START, condition)))
+
+    def mapped(self, written: Callable[[Expression], Expression]) -> TimedSchema:
+        """Return the schema with all its conditions as they are `written`."""
+        return replace(
+            self,
+            conditions=tuple((time, written(each)) for time, each in self.conditions),
+            literals=tuple(
+                (time, written(before), replace(each, condition=written(each.condition)))
+                for time, before, each in self.literals
+            ),
+            changes=tuple(
+                (time, written(before), replace(each, condition=written(each.condition)))
+                for time, before, each in self.changes
+            ),
+        )
 
 
 def of_reading(reading: Reading) -> tuple[TimedSchema, ...]:
     """Return the actions of a reading."""
-    objects = {**reading.domain.constants, **reading.problem.objects}
     found = []
     for entry in reading.domain.entries:
         if isinstance(entry, Rule):
             continue
-        reader = _Reader(reading, objects, entry.name, entry.place)
+        reader = _Reader(reading, entry.name, entry.place)
         if isinstance(entry, Action):
             reader.condition(START, entry.precondition)
             reader.effect(START, entry.effect)
@@ -102,10 +113,10 @@ def _durations(constraint: Expression, time: str) -> Iterator[tuple[str, str, Ex
 class _Reader:
     """The parts of one action, collected."""
 
-    def __init__(self, reading: Reading, objects: Container[str], name: str, place: Place) -> None:
+    def __init__(self, reading: Reading, name: str, place: Place) -> None:
         self.place = place
         self.file = reading.instance.domain
-        self.objects = objects
+        self.objects = reading.objects
         self.name = name
         self.conditions: list[tuple[str, Expression]] = []
         self.literals: list[tuple[str, Expression, Literal]] = []
@@ -229,9 +240,9 @@ def _sum(parts: Iterable[Expression]) -> Expression:
 def renamed(change: Change, bound: Mapping[str, str]) -> Change:
     """Return a change with some of its variables replaced by objects, or by other variables."""
     kept = {name: kind for name, kind in change.variables.items() if name not in bound}
-    return Change(
-        kept, substituted(change.condition, bound), substituted(change.term, bound),
-        substituted(change.amount, bound), change.grows, change.place,
+    return replace(
+        change, variables=kept, condition=substituted(change.condition, bound), term=substituted(change.term, bound),
+        amount=substituted(change.amount, bound),
     )  # fmt: skip
 
 

@@ -19,11 +19,12 @@ from typing import Any
 from .conditions import (
     COMPLEMENT,
     FALSE,
-    comparisons,
+    compared_terms,
     conjunction,
     conjuncts,
     disjunction,
     free_variables,
+    is_numeric,
     unsatisfied,
 )
 from .durative import Schema, key
@@ -135,11 +136,10 @@ def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -
         variables = dict.fromkeys([*free_variables(change.term), *free_variables(change.amount)])
         numeric = []
         for condition in conditions:
-            inner = list(comparisons(condition))
-            if not inner:
+            if not is_numeric(condition):
                 continue
             own = free_variables(condition)
-            read = {term.head for each in inner for side in each.parts[1:] for term in terms_of(side)}
+            read = {term.head for term in compared_terms(condition)}
             if read & heads or own.keys() <= variables.keys():
                 variables.update(own)
                 numeric.append(condition)
@@ -169,7 +169,7 @@ def _rows(
     statics: Statics, change: Change, variables: Mapping[str, str], conditions: Iterable[Expression]
 ) -> Iterable[dict[str, str]]:
     terms = [term for term in terms_of(change.amount) if term.head in statics.values]
-    plain = [each for each in conditions if not any(True for _ in comparisons(each)) or each.head in COMPLEMENT]
+    plain = [each for each in conditions if not is_numeric(each) or each.head in COMPLEMENT]
     for row in statics.bindings(variables, plain, terms):
         yield dict(zip(variables, row, strict=True))
 
@@ -255,7 +255,7 @@ class _Rule:
         reads = dict(needed)
         guards: list[Expression] = []
         for guard in conjuncts(change.guard):
-            inner = [key(t) for each in comparisons(guard) for side in each.parts[1:] for t in terms_of(side)]
+            inner = list(map(key, compared_terms(guard)))
             if not inner:
                 continue
             guards.append(guard)

@@ -16,9 +16,9 @@ from test_sweep import COMPILED, UNLISTED, SweepOptions, counter, random_task
 
 from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, sweep
 from planner.costtogo.astar import ADMISSIBLE
+from planner.costtogo.number_values import grounded
 from planner.grounding import fast_downward
 from planner.grounding.translation import from_sas
-from planner.pddl.compilation import compiled
 from planner.pddl.reader import read
 
 
@@ -64,7 +64,7 @@ def test_fast_downward_accepts_what_is_written(seed: int, axioms: bool) -> None:
 
 @pytest.mark.parametrize("instance", thinned(solvable(SMALL), 3), ids=named)
 def test_shipped_tasks_are_written_as_the_translator_writes_them(instance: Instance) -> None:
-    text = fast_downward.translate(compiled(read(instance)).reading)
+    text = fast_downward.translate(grounded(read(instance))[0].reading)
     task = from_sas(text, instance)
     if set(task.costs) == {1}:  # a metric under which all actions cost 1 is none
         text = text.replace("begin_metric\n1\n", "begin_metric\n0\n")

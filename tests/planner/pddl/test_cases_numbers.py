@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from planner import Instance, PDDLError, cost_to_go
+from planner.costtogo.number_values import grounded
 from planner.grounding import fast_downward
 from planner.grounding.translation import from_sas
-from planner.pddl.compilation import Compilation, compiled
+from planner.pddl.compilation import Compilation
+from planner.pddl.numeric_compiler import Compiler
 from planner.pddl.reader import read
 
 
@@ -293,11 +295,11 @@ def test_cases_have_their_right_answers(tmp_path: Path, name: str) -> None:
     instance = written(tmp_path, case.domain, case.problem)
     if case.said:
         with pytest.raises(PDDLError) as error:
-            compiled(read(instance))
+            Compiler(read(instance)).compilation()
         assert case.said in str(error.value)
         assert error.value.line is not None
         return
-    compilation = compiled(read(instance))
+    compilation = Compiler(read(instance)).compilation()
     cost, states, decided = answer(compilation)
     assert cost == (None if case.cost is None else Fraction(case.cost))
     assert case.states is None or (states, decided) == (case.states, False)
@@ -305,7 +307,7 @@ def test_cases_have_their_right_answers(tmp_path: Path, name: str) -> None:
 
 def test_a_counter_is_shown_as_a_number(tmp_path: Path) -> None:
     case = CASES["undefined at start"]
-    compilation = compiled(read(written(tmp_path, case.domain, case.problem)))
+    compilation = Compiler(read(written(tmp_path, case.domain, case.problem))).compilation()
     assert compilation.actions["add"] == ("add", 1)
     (name, shown) = compilation.numbers["is-n"]
     assert name == "n"
@@ -315,7 +317,7 @@ def test_a_counter_is_shown_as_a_number(tmp_path: Path) -> None:
 def test_a_classical_instance_is_its_own_compilation(tmp_path: Path) -> None:
     domain = "(:predicates (p)) (:action go :parameters () :effect (and (p) (increase (total-cost) 2)))"
     reading = read(written(tmp_path, domain, "(:init (= (total-cost) 0)) (:goal (p)) (:metric minimize (total-cost))"))
-    compilation = compiled(reading)
+    compilation = grounded(reading)[0]
     assert compilation.reading is reading
     assert (compilation.unit, compilation.actions, compilation.numbers) == (1, {}, {})
 
@@ -323,5 +325,7 @@ def test_a_classical_instance_is_its_own_compilation(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("cost", "unit"), [("(+ 1 0.5)", "3/2"), ("(* 2 0.1)", "1/5"), ("(/ 1 3)", "1/3")])
 def test_costs_are_scaled_exactly(tmp_path: Path, cost: str, unit: str) -> None:
     domain = f"(:predicates (p)) (:action go :parameters () :effect (and (p) (increase (total-cost) {cost})))"
-    compilation = compiled(read(written(tmp_path, domain, "(:init) (:goal (p)) (:metric minimize (total-cost))")))
+    compilation = Compiler(
+        read(written(tmp_path, domain, "(:init) (:goal (p)) (:metric minimize (total-cost))"))
+    ).compilation()
     assert answer(compilation)[0] == Fraction(unit)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from planner import Instance, PDDLError
-from planner.pddl.compilation import compiled
+from planner.pddl.numeric_compiler import Compiler
 from planner.pddl.reader import read
 
 DOMAIN = """(define (domain cell)
@@ -165,7 +165,7 @@ def faults(folder: Path, domain: str, problem: str) -> str:
     instance.domain.write_text(domain)
     instance.problem.write_text(problem)
     with pytest.raises(PDDLError) as error:
-        compiled(read(instance))
+        Compiler(read(instance)).compilation()
     assert "\n" not in str(error.value)
     assert error.value.line is not None
     return str(error.value)
@@ -184,7 +184,7 @@ def test_the_files_without_faults_are_compiled(tmp_path: Path) -> None:
     instance = Instance(tmp_path / "p.pddl", tmp_path / "domain.pddl")
     instance.domain.write_text(DOMAIN)
     instance.problem.write_text(PROBLEM)
-    compilation = compiled(read(instance))
+    compilation = Compiler(read(instance)).compilation()
     assert dict(compilation.compiled) == {"durations": 1, "numbers": 1}
 
 
@@ -217,4 +217,4 @@ def test_very_many_comparisons_are_refused_soon(tmp_path: Path) -> None:
     (tmp_path / "domain.pddl").write_text(domain)
     (tmp_path / "p.pddl").write_text(problem)
     with pytest.raises(PDDLError, match="action 'move' changes numbers for too many combinations of objects"):
-        compiled(read(Instance(tmp_path / "p.pddl", tmp_path / "domain.pddl")))
+        Compiler(read(Instance(tmp_path / "p.pddl", tmp_path / "domain.pddl"))).compilation()

@@ -8,7 +8,8 @@ import pytest
 
 from planner import LimitError, Limits, PDDLError, Task, astar, cost_to_go, instance, load, sweep
 from planner.costtogo import number_values
-from planner.pddl.compilation import Compilation, compiled
+from planner.pddl.compilation import Compilation
+from planner.pddl.numeric_compiler import Compiler
 from planner.pddl.reader import read
 from planner.system.limits import NO_LIMITS
 
@@ -49,7 +50,7 @@ def test_a_sum_of_numbers_that_nothing_bounds_is_swept_or_names_one_of_them(tmp_
     table = sweep(loaded(tmp_path, domain, f"{begin} (:goal (done))", most_values=10))
     assert (len(table), table[table.initial]) == (5, 4)
     with pytest.raises(PDDLError, match=r"\(n x\) grows without a limit \(tick\)"):
-        compiled(read(instance(tmp_path / "p.pddl")), most_values=200)
+        Compiler(read(instance(tmp_path / "p.pddl")), 200).compilation()
 
 
 def test_too_little_time_is_no_refusal_of_the_file(tmp_path: Path) -> None:
