@@ -22,12 +22,11 @@ from ...live.store import stored
 from ...person.settings import Setting
 from ..plan_tables import among
 from ..statistics import FEW
-from ..userstudy.csv_tables import rows
 from ..userstudy.forms import FORMS, Item
 from ..userstudy.plan import UserStudy, UserStudyPlan
 from ..userstudy.plan_file import read
 from ..userstudy.session import JOURNAL, PLAN
-from ..userstudy.tables import COLUMNS, Tables, tables
+from ..userstudy.tables import Tables, exported, tables
 from . import report_files
 from .preregistration import compared
 from .report_files import ReportFigure, draw_all, html_page, rendered, write_files
@@ -76,7 +75,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
     if (folder / JOURNAL).exists():
         return study, tables(study, folder / JOURNAL)
     require_database(folder / JOURNAL)
-    return study, Tables(**{name: list(rows(folder / f"{name}.csv", columns)) for name, columns in COLUMNS.items()})
+    return study, exported(study, folder)
 
 
 def write_report(place: Path, out: Path, *, baseline: str | None = None) -> dict[str, Any]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 import unicodedata
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,9 +53,12 @@ class Column:
         if self.kind is str:
             return text_of(cell)
         try:
-            return float(cell)
+            number = float(cell)
         except ValueError:
-            raise ValueError("expected a number") from None
+            number = math.nan
+        if not math.isfinite(number):
+            raise ValueError("expected a number")
+        return number
 
 
 def written(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> str:
@@ -96,8 +100,18 @@ def text_of(cell: str) -> str:
     return cell[1:] if cell.startswith("'") and is_formula(cell) else cell
 
 
-def rows(file: Path, columns: Mapping[str, Column]) -> Iterator[dict[str, Any]]:
+def rows(
+    file: Path, columns: Mapping[str, Column], fault: Callable[[dict[str, Any]], str | None] = lambda _: None
+) -> Iterator[dict[str, Any]]:
     """Yield the rows that `written` wrote to a file, with all columns.
+
+    Parameters
+    ----------
+    file : Path
+    columns : mapping of Column
+        By name.
+    fault : callable, optional
+        Returns what is wrong in a row; None if nothing is.
 
     Raises
     ------
@@ -114,6 +128,9 @@ def rows(file: Path, columns: Mapping[str, Column]) -> Iterator[dict[str, Any]]:
             if None in row or None in row.values():
                 raise InputFileError.of(file, reader.line_num, f"expected {len(known)} columns, as in line 1")
             try:
-                yield dict.fromkeys(columns) | {name: columns[name].value(cell) for name, cell in row.items()}
+                found = dict.fromkeys(columns) | {name: columns[name].value(cell) for name, cell in row.items()}
             except ValueError as error:
                 raise InputFileError.of(file, reader.line_num, str(error)) from None
+            if (wrong := fault(found)) is not None:
+                raise InputFileError.of(file, reader.line_num, wrong)
+            yield found

@@ -9,6 +9,7 @@ import json
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from planner.system.errors import InputFileError
 
 from ...live.record import require_version
 from ...live.store import stored
-from .csv_tables import Column, written
+from .csv_tables import Column, rows, written
 from .events import Onward
 from .outcomes import COUNTED, Row
 from .participant_team import own_action
@@ -202,6 +203,56 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     wrong = Counter(row["participant"] for row in found.answers if row["passed"] is False)
     people = [_participant(study, person, wrong[person.code]) for person in roll.participants.values()]
     return Tables(people).with_rows(found, withdrawn)
+
+
+def exported(study: UserStudy, folder: Path) -> Tables:
+    """Return the tables of an unpacked export.
+
+    Raises
+    ------
+    InputFileError, OSError
+        A file is damaged or missing, or has a row that does not fit the study or the other tables.
+    """
+    fitting = _Fitting(study)
+    return Tables(**{
+        name: list(rows(folder / f"{name}.csv", columns, partial(fitting.fault, name)))
+        for name, columns in COLUMNS.items()
+    })  # fmt: skip
+
+
+class _Fitting:
+    """Whether the rows of an export that reports use, table by table, fit the study and each other."""
+
+    def __init__(self, study: UserStudy) -> None:
+        names = [one.name for one in study.conditions]
+        self.by_condition = {one.name: study.is_by_condition(one) for one in study.questionnaires}
+        self.known: dict[str, dict[str, Container[Any]]] = {
+            "participants": {"condition": [None, *study.orders], "stage": [one.name for one in study.stages]},
+            "tasks": {"condition": names, "task": dict(study.tasks)},
+            "answers": {"condition": [None, *names], "questionnaire": self.by_condition},
+        }
+        self.people, self.begun = set[str](), set[tuple[str, ...]]()
+
+    def fault(self, table: str, row: Row) -> str | None:
+        """Return what is wrong in a row; None if it fits."""
+        if table not in self.known:
+            return None
+        for name, values in self.known[table].items():
+            if row[name] not in values:
+                return f"{name} '{row[name] or ''}'; expected one of the study"
+        who = row["participant"]
+        if (table == "participants") == (who in self.people):
+            return f"participant '{who or ''}'; expected {'each once' if who in self.people else 'one of participants'}"
+        self.people.add(who)
+        if table == "answers" and (row["condition"] is not None) != self.by_condition[row["questionnaire"]]:
+            asked = "a condition" if row["condition"] is None else "none, as it does not belong to one"
+            return f"the condition of '{row['questionnaire']}'; expected {asked}"
+        if table == "tasks":
+            task = (who, row["condition"], row["task"])
+            if task in self.begun:
+                return f"task '{row['task']}' of '{who}' in '{row['condition']}'; expected it once"
+            self.begun.add(task)
+        return None
 
 
 def _participant(study: UserStudy, person: Participant, failed: int) -> Row:

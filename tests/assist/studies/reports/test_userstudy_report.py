@@ -244,16 +244,32 @@ def test_without_a_package_the_extra_is_named(report: Any, package: str, monkeyp
 
 
 def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:
-    folder = exported(tmp_path / "export", tasks=[{"actions": 3.0}])
-    file = folder / "tasks.csv"
-    for wrong, words in (
-        (file.read_text().replace("3.0", "three"), "tasks.csv:2: expected a number"),
-        (file.read_text().replace("actions,", "", 1), r"tasks.csv:2: expected \d+ columns, as in line 1"),
-        (file.read_text().replace("period", "periods", 1), "tasks.csv:1: expected the columns participant"),
+    folder = german(tmp_path / "export", PLAN)
+    for table, was, now, words in (
+        ("tasks", ",6,", ",six,", "tasks.csv:2: expected a number"),
+        ("tasks", ",6,", ",nan,", "tasks.csv:2: expected a number"),
+        ("tasks", ",6,", ",inf,", "tasks.csv:2: expected a number"),
+        ("tasks", "actions,", "", r"tasks.csv:2: expected \d+ columns, as in line 1"),
+        ("tasks", "period", "periods", "tasks.csv:1: expected the columns participant"),
+        ("tasks", "P1,none", "P1,nobody", "tasks.csv:2: condition 'nobody'; expected one of the study"),
+        ("tasks", "P1,none,", "P1,,", "tasks.csv:2: condition ''; expected one of the study"),
+        ("tasks", "P3,none", "P1,none", "tasks.csv:4: task 'tiny' of 'P1' in 'none'; expected it once"),
+        ("tasks", "P3,none", "P8,none", "tasks.csv:4: participant 'P8'; expected one of participants"),
+        ("answers", "P1,none", "P1,nobody", "answers.csv:2: condition 'nobody'; expected one of the study"),
+        ("answers", "P1,none", "P1,", "answers.csv:2: the condition of 'trust'; expected a condition"),
+        ("answers", ",trust,", ",truth,", "answers.csv:2: questionnaire 'truth'; expected one of the study"),
+        ("participants", "P2,", "P1,", "participants.csv:3: participant 'P1'; expected each once"),
+        ("participants", "thanks", "thank", "participants.csv:2: stage 'thank'; expected one of the study"),
+        ("participants", "attention", "attention > none", "participants.csv:3: condition 'attention > none'"),
     ):
-        file.write_text(wrong)
+        file = folder / f"{table}.csv"
+        right = file.read_text()
+        assert was in right
+        file.write_text(right.replace(was, now, 1))
         with pytest.raises(InputFileError, match=words):
             userstudy_report.of_folder(folder)
+        file.write_text(right)
+    assert userstudy_report.of_folder(folder)
 
 
 @pytest.mark.usefixtures("no_figures")
