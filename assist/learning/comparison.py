@@ -47,7 +47,7 @@ class Score(Result):
     difference : float or None
         Nats per choice minus those of the reference, paired by person; None for the reference itself.
     interval : tuple of float, or None
-        Interval of the difference over people, by Student's t.
+        Interval of the difference over people, by Student's t; None where it is the same for all people.
     p, p_corrected : float or None
         Two-sided p-value of no difference, and the same corrected for the number of models (Holm's method).
     better_for : int or None
@@ -150,7 +150,8 @@ class Comparison(Result):
                 ends = IntervalEstimate.of(mean, error, count - 1, level)
                 p = 2 * float(scipy.special.stdtr(count - 1, -abs(mean / error))) if error > 0 else 1.0
                 better = int((logs[name] > of_reference).sum())
-                row = replace(row, difference=mean, interval=(ends.low, ends.high), p=p, better_for=better)
+                interval = None if math.isnan(ends.low) else (ends.low, ends.high)
+                row = replace(row, difference=mean, interval=interval, p=p, better_for=better)
             rows.append(row)
         corrected = iter(holm([row.p for row in rows if row.p is not None]))
         scores = [row if row.p is None else replace(row, p_corrected=next(corrected)) for row in rows]

@@ -26,7 +26,7 @@ class IntervalEstimate:
     ----------
     value : float
     low, high : float
-        Ends of the interval; NaN where the data determine none, such as that of a single pool.
+        Ends of the interval; NaN where the data determine none, such as that of a single pool or of equal ones.
     """
 
     value: float
@@ -38,18 +38,16 @@ class IntervalEstimate:
         return {"mean": finite(self.value), "low": finite(self.low), "high": finite(self.high)}
 
     def within(self, least: float, most: float) -> IntervalEstimate:
-        """Return the estimate with its interval cut at the range of what is estimated.
-
-        Without variance there is no interval: that all values seen are equal does not show that the next one is.
-        """
-        if math.isclose(self.low, self.high, rel_tol=1e-9, abs_tol=1e-12):
-            return IntervalEstimate(self.value)
+        """Return the estimate with its interval cut at the range of what is estimated."""
         return IntervalEstimate(self.value, *(min(max(end, least), most) for end in (self.low, self.high)))
 
     @classmethod
     def of(cls, value: float, error: float, freedom: float, level: float) -> IntervalEstimate:
-        """Return Student's interval for a standard error."""
-        if not (math.isfinite(error) and freedom > 0):
+        """Return Student's interval for a standard error.
+
+        Without variance there is no interval: that all values seen are equal does not show that the next one is.
+        """
+        if not (1e-12 * max(1.0, abs(value)) < error < math.inf and freedom > 0):
             return cls(value)
         half = float(scipy.special.stdtrit(freedom, (1 + level) / 2)) * error
         return cls(value, value - half, value + half)

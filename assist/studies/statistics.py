@@ -109,8 +109,6 @@ def _of_means(columns: Sequence[ArrayLike], function: Callable[..., Any]) -> Int
             return IntervalEstimate(value)
         left_out = function(*((column.sum() - column) / (n - 1) for column in x))
         spread = float(((left_out - left_out.mean()) ** 2).sum())
-    if spread < 1e-24 * max(1.0, value**2):  # all pools are equal
-        return IntervalEstimate(value, value, value)
     return IntervalEstimate.of(value, math.sqrt((n - 1) / n * spread), n - 1, LEVEL)
 
 

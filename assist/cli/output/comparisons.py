@@ -83,8 +83,9 @@ def show_comparison(compared: Comparison, files: ComparisonFiles, figures: Path 
     head, rows = ("model", nats_head, of_difference, "p, corrected", "better for", "parameters"), []
     for row in compared.scores:
         paired = corrected = better = "-"
-        if row.difference is not None and row.interval is not None:
-            paired = f"{row.difference:+.4f} ({row.interval[0]:+.4f} to {row.interval[1]:+.4f})"
+        if row.difference is not None:
+            ends = "" if row.interval is None else f" ({row.interval[0]:+.4f} to {row.interval[1]:+.4f})"
+            paired = f"{row.difference:+.4f}{ends}"
             corrected, better = f"{row.p_corrected:.2g}", f"{row.better_for} of {people}"
         nats = f"{row.nats_per_choice:.4f} ± {row.stderr:.4f}"
         numbers = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in row.parameters.items())

@@ -132,10 +132,7 @@ class Found:
         finished = {policy: average(pools, "finished_percent", policy) for policy in dict.fromkeys(pools["policy"])}
         return {
             "episodes": len(own), "cut_off": int(own["cut_off"].sum()), "max_steps": self._setting(group).max_steps,
-            "finished": {
-                policy: replace(estimate, low=max(0.0, estimate.low), high=min(100.0, estimate.high)).record()
-                for policy, estimate in finished.items()
-            },
+            "finished": {policy: estimate.within(0.0, 100.0).record() for policy, estimate in finished.items()},
         }  # fmt: skip
 
     def _savings(self, pools: pd.DataFrame) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def sign(estimate: Record, at: float = 0.0) -> str:
 def beside(estimate: Record, published: float) -> str:
     """Return the comparison of a saving with a published one."""
     if estimate["low"] is None:
-        return f"{'better' if estimate['mean'] > published else 'worse'}, in a single pool"
+        return f"{'better' if estimate['mean'] > published else 'worse'}, without an interval"
     if estimate["low"] > published:
         return "better, the whole interval"
     if estimate["high"] < published:

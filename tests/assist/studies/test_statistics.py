@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from assist.studies import statistics
-from assist.studies.reports.wording import beside, sign
+from assist.studies.reports.wording import beside, interval, sign
 
 
 def test_a_mean_has_students_interval() -> None:
@@ -30,8 +30,6 @@ def test_the_standard_error_of_a_saving_is_the_bootstraps_and_is_paired() -> Non
     width = estimate.high - estimate.low
     assert width / 2 / stats.t.ppf(0.975, 29) == pytest.approx(resampled.standard_error, rel=0.1)
     assert estimate.high - estimate.value == pytest.approx(width / 2)
-    alike = statistics.saving(np.full(30, 3.0), np.full(30, 4.0))
-    assert (alike.low, alike.value, alike.high) == (25.0, 25.0, 25.0)
     shuffled = statistics.saving(rng.permutation(with_it), without)
     assert shuffled.high - shuffled.low > 5 * width
 
@@ -66,9 +64,20 @@ def test_changes_ratios_and_effects() -> None:
     assert change.value == pytest.approx(100 * (c.mean() / d.mean() - a.mean() / b.mean()))
     assert statistics.quotient(a, b).value == pytest.approx(a.mean() / b.mean())
     assert statistics.effect(a - b) == pytest.approx((a - b).mean() / (a - b).std(ddof=1))
-    alike = statistics.saving(np.full(5, 3.0), np.full(5, 4.0))
-    assert (alike.low, alike.value, alike.high) == (25, 25, 25)
     assert statistics.saving([0.0, 0.0], [0.0, 0.0]).record() == {"mean": None, "low": None, "high": None}
+
+
+def test_equal_pools_have_no_interval_as_participants_have_none() -> None:
+    """That all values seen are equal does not show that the next one is."""
+    none = {"low": None, "high": None}
+    tenths = np.full(30, 0.1)  # whose standard deviation is not 0, but a rounding error
+    assert statistics.mean(tenths).record() == {"mean": pytest.approx(0.1), **none}
+    assert statistics.saving(np.full(5, 3.0), np.full(5, 4.0)).record() == {"mean": 25.0, **none}
+    assert statistics.saving([0.1, 0.3, 0.7], [0.2, 0.6, 1.4]).record() == {"mean": pytest.approx(50), **none}
+    assert statistics.saving([3.0, 1.0, 2.0], [3.0, 1.0, 2.0]).record() == {"mean": 0.0, **none}  # nothing happened
+    assert statistics.quotient([2.0, 2.0], [1.0, 1.0]).record() == {"mean": 2.0, **none}
+    assert sign({"mean": 25.0, **none}) == "not shown"
+    assert interval({"mean": 100.0, **none}) == "100.0"
 
 
 def test_an_interval_has_no_values_that_are_impossible() -> None:
@@ -95,5 +104,5 @@ def test_an_interval_is_put_into_words() -> None:
         "worse, the whole interval",
     ]  # fmt: skip
     assert [beside(between(None, None), other) for other in (4.0, 6.0)] == [
-        "better, in a single pool", "worse, in a single pool",
+        "better, without an interval", "worse, without an interval",
     ]  # fmt: skip
