@@ -356,7 +356,7 @@ class Neighbours:
         named = max((int(max(pair[:2])) for pair in self.pairs or ()), default=0)
         if named > places:
             raise ValueError(
-                f"neighbours.pairs: station {named} in a team of {places}; expected stations from 1 to {places}"
+                f"neighbours.pairs: station {named} in a team of {places}; expected stations up to {places}"
             )
 
     def weights(self, places: int) -> Floats:

@@ -305,7 +305,7 @@ def test_what_cannot_be_is_said_before_the_work_begins(
         (("solve", "./mine.pdl"), "mine.pdl: no such file or folder; did you mean 'mine.pddl'?"),
         (
             ("simulate", TINY, "--humans", 2, "--set", "neighbours.rule=outcome", "--set", "neighbours.pairs=[[1, 9]]"),
-            "Error: neighbours.pairs: station 9 in a team of 2; expected stations from 1 to 2",
+            "Error: neighbours.pairs: station 9 in a team of 2; expected stations up to 2",
         ),
         (("compare", TINY, "empty.json"), "expected models or rules first, such as kitassist compare models"),
     ],
@@ -352,7 +352,7 @@ SMALL = 'instances = ["kitting/tiny"]\nhumans = [1]\npool = 1\n'
          ":6: conditions[1].settings[2]: ask_error 0.1 has no effect without c_ask"),
         ("study --out out --protocol",
          f'{SMALL}[[conditions]]\nname = "a"\nsettings = [{{neighbours = {{rule = "outcome", pairs = [[1, 2]]}}}}]',
-         ":6: conditions[1].settings[1]: neighbours.pairs: station 2 in a team of 1; expected stations from 1 to 1"),
+         ":6: conditions[1].settings[1]: neighbours.pairs: station 2 in a team of 1; expected stations up to 1"),
     ],
 )  # fmt: skip
 def test_a_fault_in_a_file_is_told_with_its_line(
