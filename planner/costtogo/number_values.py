@@ -14,8 +14,8 @@ The values are then known to be all, and are compiled as such. Where there are t
 is closed, the task keeps its beyond facts. It is no longer swept, and its states are solved on demand (`leaving`). A
 trial is then large enough if a plan from the initial state is optimal within it. If no trial is, the number is refused.
 
-Trials end after numbers of states and operators, never because time is short: a file has the same values everywhere.
-Where time is short, there is an error instead.
+Trials end after numbers of states, operators and facts, never because time is short: a file has the same values
+everywhere. Where time is short, there is an error instead.
 """
 
 from __future__ import annotations
