@@ -235,12 +235,14 @@ def improved(
     for u in range(U):
         at = min(step, len(gain) - 1)
         options, count = propose(gain[at], use, rest[at], columns[u], arrays.resources, alternatives)
-        out[u] = options[0]
+        for k in range(N):  # `out[u] = options[0]` would take longer to compile, as in `person.hsvi`
+            out[u, k] = options[0, k]
         if count == 1:
             continue
         for c in range(count):
             for r in range(samples):
-                now[:], action[:] = columns[u], options[c]
+                for k in range(N):
+                    now[k], action[k] = columns[u, k], options[c, k]
                 discount, value = 1.0, 0.0
                 for h in range(horizon):
                     worth = advantage[min(step + h, len(advantage) - 1)]
@@ -268,5 +270,6 @@ def improved(
             more = total[c] - total[0]
             if more.mean() > max(best, errors * more.std() / np.sqrt(samples)):
                 best = more.mean()
-                out[u] = options[c]
+                for k in range(N):
+                    out[u, k] = options[c, k]
     return out

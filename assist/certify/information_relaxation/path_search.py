@@ -310,9 +310,9 @@ def _astar(
         estimate += team.heuristic[start[k]]
     states, costs, times = [start], [0.0], [0]
     heap = [(estimate, 0)]
-    radix = np.diff(team.first) + 2
-    product = float(steps + 2)
-    for k in range(people):
+    radix, product = np.empty(people, np.int64), float(steps + 2)
+    for k in range(people):  # `np.diff` would take longer to compile than this function
+        radix[k] = team.first[k + 1] - team.first[k] + 2
         product *= radix[k]
     exact = product < 2.0**62  # otherwise repeated states are not detected, which only takes longer
     seen = Dict.empty(numba.types.int64, numba.types.float64)
