@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,7 +13,7 @@ from planner.system.limits import processors
 from planner.system.progress import stages
 
 from ..declare.declared import Count
-from ..declare.options import Value
+from ..declare.options import Given, Value
 from .options.common import OUTPUT_FILE, baseline_option, jobs_option, json_option, out_option, separate_files, together
 from .options.goals import check_questions
 from .options.help import command
@@ -33,13 +32,13 @@ class Written(NamedTuple):
     trace: Path | None
     figure: Path | None
 
-    def require(self, inputs: Mapping[str, Path | None], *, reasons: bool) -> None:
+    def require(self, given: Given[Any]) -> None:
         """Refuse files that are not apart from each other and the inputs, and reasons without a trace."""
         from ..drawing.plots import style
 
-        separate_files({"--out": self.out, "--trace": self.trace, "--figure": self.figure}, inputs)
-        if reasons and self.trace is None:
-            raise click.UsageError("reasons: expected --trace, too")
+        separate_files({"--out": self.out, "--trace": self.trace, "--figure": self.figure}, given.files())
+        if self.trace is None:
+            given.refuse(["reasons"], "without --trace")
         if self.figure:
             style.require()
             if self.figure.suffix not in style.FORMATS:
@@ -97,7 +96,7 @@ def simulate(
             raise click.UsageError(f"--policy rollout {unclear}, or another policy, such as priority")
         if team.problems and setting.goal_knowledge == "likeliest":
             raise click.UsageError("goal_knowledge likeliest with observation: expected inferred or known")
-    files.require(team.given.files(), reasons=setting.reasons)
+    files.require(team.given)
     with policy_errors():
         policies, results = policies_of(team.policy), list[Episodes]()
         base = baseline_among(policies, baseline)

@@ -48,6 +48,8 @@ def conduct(file: Path, data: Path | None, given: Given[Any], at: Listening, reh
         if is_given(name) and name not in OF_STUDIES:
             option = next(one for one in context.command.params if one.name == name)
             raise click.UsageError(f"{option.opts[0]} cannot be combined with --study; the study's file sets it")
+    if "tasks" in (context.default_map or {}):
+        raise click.UsageError("the table tasks cannot be combined with --study; the study's file sets it")
     for source, _ in given.sources.values():
         raise click.UsageError(f"{source} cannot be combined with --study; the study's file sets it")
     try:

@@ -195,19 +195,25 @@ class DeclarationError(ValueError):
             name = str(fault["loc"][-1])
             right = f"unknown; {meant(name, names_of(owner))}"
             where = (*place, name)
-            return cls(where, None, right, f"{spelt(where)}: {right}")
-        place, owner = _place(kind, fault["loc"])
+            return cls(where, None, right, f"{_short(spelt(where))}: {right}")
+        is_key = fault["loc"][-1:] == ("[key]",)
+        place, owner = _place(kind, fault["loc"][:-2] if is_key else fault["loc"])
+        if is_key:
+            owner = next(get_args(bare(one))[0] for one in _members(owner) if get_origin(bare(one)) in (dict, Mapping))
         if fault["type"] == "value_error":
             inner = fault["ctx"]["error"]
             if isinstance(inner, DeclarationError):
                 return inner.within(place)
             return cls(place, None, str(inner), f"{spelt(place)}: {inner}" if place else str(inner))
-        right = phrase(owner)
+        is_half = fault["type"] == "string_unicode"  # half a character, of a text or the name of a field
+        right = "Unicode text" if is_half else phrase(owner)
         if fault["type"] in MISSING and isinstance(fault["loc"][-1], str):
             return cls(place, None, f"is missing; expected {right}", f"{spelt(place)}: is missing; expected {right}")
-        found = _at(given, place, fault["input"])
+        found = fault["input"] if is_key or is_half else _at(given, place, fault["input"])
         text = f"{found:g}" if isinstance(found, float) and "whole" not in right else repr(found)
-        return cls(place, shown(found), right, f"{spelt(place)} {text}: expected {right}".lstrip())
+        what, at = "key " * is_key, _short(spelt(place)) + ":" * is_key
+        message = f"{at} {what}{_short(text)}: expected {right}".lstrip()
+        return cls(place, what + _short(shown(found)), right, message)
 
 
 class UserCodeError(DeclarationError):
@@ -489,6 +495,13 @@ def spelt(place: Place) -> str:
 def shown(value: Any) -> str:
     """Return a value as JSON text, for messages."""
     return json.dumps(value, default=str, ensure_ascii=False)
+
+
+LONGEST = 200  # characters of a value in a message
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
 
 NOTHING: tuple[Any, ...] = (None, (), {})

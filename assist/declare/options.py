@@ -165,7 +165,11 @@ class Given(Generic[T]):
         """
         place: Place = ()
         for part in name.split("."):
-            known = names_of(bare(_kind_at(self.kind, place)))
+            kind = _kind_at(self.kind, place)
+            known = names_of(bare(kind))
+            if not known:
+                own = f"{spelt(place)} has no parts"
+                raise click.UsageError(f"{source}: {own}; expected --set {spelt(place)}=VALUE, which is {phrase(kind)}")
             if part not in known:
                 raise click.UsageError(f"{source}: unknown; {meant(part, known)}")
             place = (*place, part)
@@ -254,7 +258,8 @@ def value_of(text: str, kind: Any) -> Any:
         return text
     for written in (text, LEADING_POINT.sub("0.", text)):
         with suppress(tomllib.TOMLDecodeError):
-            return tomllib.loads(f"value = {written}")["value"]
+            found = tomllib.loads(f"value = {written}")
+            return found["value"] if len(found) == 1 else text
     with suppress(ValueError):
         return float(text) if inner is float else text  # 5. is no TOML
     return text
@@ -349,7 +354,7 @@ def gathered(kind: type[T], parameters: dict[str, Any], environment: str | None 
     if environment is not None:
         for place in places(kind):
             variable = variable_of(environment, place)
-            if (text := os.environ.get(variable)) is not None:
+            if text := os.environ.get(variable):  # an empty one is as none, as for other options
                 given.put(place, value_of(text, _kind_at(kind, place)), variable)
     written: set[str] = set()
     for option in context.command.params:
@@ -365,7 +370,7 @@ def gathered(kind: type[T], parameters: dict[str, Any], environment: str | None 
         name = name.strip()
         if not name or not equals:
             raise click.UsageError(f"--set {change}: expected NAME=VALUE, such as gamma=0.95")
-        if name in written:
+        if any(f"{one}.".startswith(f"{name}.") or name.startswith(f"{one}.") for one in written):
             raise click.UsageError(f"--set {name}: it is set twice; expected one value")
         written.add(name)
         given.text(name, text.strip(), f"--set {name}")

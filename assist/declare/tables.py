@@ -10,7 +10,6 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,24 +48,42 @@ def line_of(file: Path, place: str, fields: Sequence[str] = ()) -> int:
 
     Of a table it is the line of the first of the given fields that stands there.
     """
-    text = file.read_bytes().decode("utf-8-sig", errors="replace")
-    path: list[Any] = [
-        int(number) - 1 if number else name for name, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", place)
-    ]
-    lines = text.splitlines()
-    parsed: list[tuple[int, dict[str, Any]]] = [(0, {})]
-    for number in range(1, len(lines) + 1):  # a prefix that ends within a multi-line value does not parse
-        try:
-            parsed.append((number, tomllib.loads("\n".join(lines[:number]))))
-        except tomllib.TOMLDecodeError:
-            continue
-    path += [name for name in fields if _has(parsed[-1][1], [*path, name])][:1]
-    while path:
-        for (before, _), (_, content) in pairwise(parsed):
-            if _has(content, path):
-                return before + 1
-        path.pop()
-    return 1
+    text = file.read_bytes().decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return 1
+    path = _path(content, place)
+    path += [name for name in fields if _has(content, [*path, name])][:1]
+    lines = text.split("\n")
+    before, until = 0, len(lines) if path else 1  # what is in the first `until` lines, and not in the first `before`
+    while until > before + 1:
+        middle = (before + until) // 2
+        for number in (*range(middle, until), *range(middle - 1, before, -1)):
+            try:
+                there = _has(tomllib.loads("\n".join(lines[:number])), path)
+            except tomllib.TOMLDecodeError:  # they end within a value of several lines
+                continue
+            before, until = (before, number) if there else (number, until)
+            break
+        else:
+            break
+    return before + 1
+
+
+def _path(content: Any, place: str) -> list[Any]:
+    """Return the way to a place as messages say it, as far as it is there; names may have dots and brackets."""
+    path, rest = list[Any](), f".{place}"
+    while rest:
+        keys = {f".{key}": key for key in content} if isinstance(content, Mapping) else {}
+        keys |= {f"[{number + 1}]": number for number in range(len(content))} if isinstance(content, list) else {}
+        fits = [said for said in keys if rest == said or rest.startswith((f"{said}.", f"{said}["))]
+        if not fits:
+            break
+        said = max(fits, key=len)
+        content, rest = content[keys[said]], rest.removeprefix(said)
+        path.append(keys[said])
+    return path
 
 
 def _has(content: Any, path: list[Any]) -> bool:

@@ -51,7 +51,9 @@ def _of_parameter(request: Request, name: str, fault: dict[str, Any]) -> str:
 
 def unread(error: BaseException | None) -> str:
     """Return why a body could not be read at all."""
-    why = "is not in UTF-8" if isinstance(error, UnicodeDecodeError) else "is nested too deeply"
+    why = "is nested too deeply"
+    if isinstance(error, ValueError):
+        why = "is not in UTF-8" if isinstance(error, UnicodeDecodeError) else "has a number of too many digits"
     return f"request body: {why}; {OBJECT}"
 
 

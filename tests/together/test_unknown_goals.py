@@ -508,7 +508,7 @@ def test_the_command(tmp_path: Path) -> None:
             ["--set", "goal_knowledge=likeliest", "--set", "observation.confusion=0.1"],
             "likeliest with observation: expected inferred or k",
         ),
-        (["--set", "reasons=true"], "reasons: expected --trace, too"),
+        (["--set", "reasons=true"], "--set reasons has no effect without --trace"),
     ):
         result = invoke(*given, *options)
         assert (result.exit_code, message in " ".join(result.stderr.split())) == (2, True)

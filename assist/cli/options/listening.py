@@ -38,13 +38,13 @@ def live_server() -> ModuleType:
     return server
 
 
-def _public_address(_context: click.Context, _option: click.Parameter, given: str | None) -> str | None:
+def _public_address(context: click.Context, option: click.Parameter, given: str | None) -> str | None:
     from ...web.tokens import public_address
 
     try:
         return None if given is None else public_address(given)
     except ValueError as error:
-        raise click.UsageError(f"--public-url {error}") from None
+        raise click.BadParameter(str(error), context, option) from None
 
 
 public_url_option = click.option(
@@ -53,7 +53,7 @@ public_url_option = click.option(
 )  # fmt: skip
 
 
-def _networks(_context: click.Context, _option: click.Parameter, given: tuple[str, ...]) -> Networks:
+def _networks(context: click.Context, option: click.Parameter, given: tuple[str, ...]) -> Networks:
     if not given:
         return ()
     from ...web.request_limits import networks
@@ -61,7 +61,7 @@ def _networks(_context: click.Context, _option: click.Parameter, given: tuple[st
     try:
         return networks(given)
     except ValueError as error:
-        raise click.UsageError(f"--trusted-proxy {error}") from None
+        raise click.BadParameter(str(error), context, option) from None
 
 
 trusted_proxy_option = click.option(

@@ -20,7 +20,7 @@ from ...live.live_setting import LiveSetting
 from ...person.settings import Setting
 from ..terminal.console import usage_errors
 from .common import data_option, domain_option, humans_option, new_folder, together
-from .config import ENVIRONMENT, read_config
+from .config import ENVIRONMENT, named, read_config
 from .goals import check_questions, goals_option, several_goals
 from .policies import policies_of, policy_option
 from .population import RATES, chosen_setting
@@ -80,7 +80,9 @@ def plan_of(team: LiveOptions) -> ServedTeam:
     setting, given, problems = team.setting, team.given, team.problems
     humans, simulate, data = team.humans or 0, team.simulate, team.data
     if simulate > humans:
-        raise click.UsageError(f"--simulate {simulate} is more than --humans {humans}")
+        context = click.get_current_context()
+        (option,) = (one for one in context.command.params if one.name == "simulate")
+        raise named(click.BadParameter(f"{simulate} is more than --humans {humans}", context, option))
     if not simulate:
         given.refuse(["pace", "seed", "population.sigma"], "without --simulate")
     if setting.people_store is None:
@@ -121,9 +123,11 @@ def plan_of(team: LiveOptions) -> ServedTeam:
     simulated = [f"simulated-{number}" for number in range(1, simulate + 1)]
     names = [*(f"person-{number}" for number in range(1, humans - simulate + 1)), *simulated]
     in_turn = {name: list(tasks)[number % len(tasks)] for number, name in enumerate(names)}
-    chosen_tasks = (click.get_current_context().default_map or {}).get("tasks", {})
+    context = click.get_current_context()
+    chosen_tasks = (context.default_map or {}).get("tasks", {})
     goes_on = data is not None and (data / JOURNAL).exists()  # others may have joined, and all have their tasks
-    _require_known(chosen_tasks, {**in_turn, **chosen_tasks} if goes_on else in_turn, tasks)
+    in_team = {**in_turn, **chosen_tasks} if goes_on else in_turn
+    _require_known(context.params.get("config"), chosen_tasks, in_team, tasks)
     people = {name: chosen_tasks.get(name, task) for name, task in in_turn.items()}
     return ServedTeam(
         tasks, data or new_folder(), people, policy=chosen_policy, setting=chosen,
@@ -161,7 +165,7 @@ def changed_settings(
             file = before if source != config else None if now is None else Path(now)
             chosen, there = settings.get("tasks", {}), session.people
             met = session.see(lambda team: [name for name in chosen if team.desk.has_met(name)])
-            _require_known(chosen, {*there, *met}, session.tasks)
+            _require_known(config, chosen, {*there, *met}, session.tasks)
         except click.UsageError as error:
             raise ValueError(error.format_message()) from None
         events: list[TeamEvent] = []
@@ -198,12 +202,18 @@ def _fields(config: Path) -> dict[str, Any]:
     return {name: value for name, value in {**content, **inner}.items() if name not in ("tasks", "setting.distances")}
 
 
-def _require_known(chosen: Mapping[str, str], people: Collection[str], tasks: Collection[str]) -> None:
+def _require_known(
+    config: Path | None, chosen: Mapping[str, str], people: Collection[str], tasks: Collection[str]
+) -> None:  # fmt: skip
     """Check the table `tasks` of a configuration, which names people's tasks."""
+    from ...declare import tables as toml
+
     for name, task in chosen.items():
         for what, one, known in (("person", name, people), ("task", task, tasks)):
             if one not in known:
-                raise click.UsageError(f"tasks.{name}: there is no {what} {one!r}; {expected(one, list(known))}")
+                assert config is not None
+                why = f"there is no {what} {one!r}; {expected(one, list(known))}"
+                raise click.UsageError(str(toml.fault(config, f"tasks.{name}", why)))
 
 
 def _named(instances: list[Instance]) -> dict[str, Instance]:

@@ -382,6 +382,24 @@ def test_one_person_has_neither_neighbours_nor_draws_of_a_population(settings: l
     assert (result.exit_code, [*tmp_path.iterdir()]) == (2, [])
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ["trust.rule=outcome"],
+            "--set trust.rule: trust has no parts; expected --set trust=VALUE, which is",
+        ),
+        (["c_suggest=1\ngamma=0.2"], "expected a number from 0 to 1e+15"),
+        (["population={beta=[1,2]}", "population.beta=[1,3]"], "--set population.beta: it is set twice"),
+        (["population.beta=[1,3]", "population={beta=[1,2]}"], "--set population: it is set twice"),
+    ],
+)
+def test_a_value_on_the_command_line_is_one_value(words: list[str], message: str, tmp_path: Path) -> None:
+    given = [word for one in words for word in ("--set", one)]
+    result = invoke("export", KITTING / "tiny.pddl", "--out", tmp_path / "a.pomdpx", *given)
+    assert (result.exit_code, message in result.stderr) == (2, True), result.stderr
+
+
 def test_values_without_effect_in_a_file_are_named_with_their_lines(tmp_path: Path) -> None:
     (file := tmp_path / "all.toml").write_text("gamma = 0.95\nmemory_limit = 1\nmax_states = 7\n")
     result = invoke("export", KITTING / "tiny.pddl", "--out", tmp_path / "a.pomdpx", "--setting", file)

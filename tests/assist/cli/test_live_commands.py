@@ -222,7 +222,7 @@ def test_a_file_for_config_is_told_from_one_for_setting(content: str, tmp_path: 
         (("--policy", "own.py:missing"), "no such file"),
         (("--set", "population.chooses=x"), "expected FILE.py:FUNCTION"),
         (("--set", "execute=true"), "expected a robot that suggests"),
-        (("--simulate", 3), "--simulate 3 is more than --humans 2"),
+        (("--simulate", 3), "3 is more than --humans 2"),
         (("--set", f"distances={TINY}"), "distances"),
         (("--set", "gamma=2"), "gamma"),
         (("--set", "population.sigma=[2, 1]"), "--set population.sigma: [2, 1]; expected two numbers"),

@@ -136,8 +136,12 @@ distances = "far.json"
         ("gamma = 0.9", {}, "line.toml:2: gamma: unknown; expected it in the table `setting`, or a file for --setting"),
         ("policy = 'best'", {}, "(from "),
         ("setting = {pace = -1}", {}, "line.toml:2: setting.pace: -1; expected a number above 0"),
-        ("tasks = {ann = 'tiny'}", {}, "tasks.ann: there is no person 'ann'"),
-        ("tasks = {person-1 = 'big'}", {}, "tasks.person-1: there is no task 'big'"),
+        ("tasks = {ann = 'tiny'}", {}, "line.toml:2: tasks.ann: there is no person 'ann'"),
+        ("tasks = {person-1 = 'big'}", {}, "line.toml:2: tasks.person-1: there is no task 'big'"),
+        ("public_url = 'ftp://x'", {}, "such as https://host.example/kits (from "),
+        ("trusted_proxy = ['bogus']", {}, "(from "),
+        ("humans = 2\nsimulate = 3", {}, "3 is more than --humans 2 (from "),
+        ("setting = {pace = -1}", {"KITASSIST_PACE": ""}, "line.toml:2: setting.pace: -1; expected a number above 0"),
         ("humans = 2", {"KITASSIST_PACE": "slow"}, 'KITASSIST_PACE: "slow"; expected a number above 0'),
         ("humans = 2\nstudy = 'missing.toml'", {}, "missing.toml"),
     ],
@@ -151,6 +155,13 @@ def test_a_faulty_configuration_is_refused_with_its_place(
     found = CliRunner().invoke(main, ["serve", "--config", str(file), "--port", "0"], env=environment)
     assert found.exit_code == 2
     assert said in " ".join(found.stderr.split())
+
+
+def test_a_configuration_of_a_study_has_no_tasks(tmp_path: Path) -> None:
+    study = ROOT / "docs" / "examples" / "kitting-study.toml"
+    (file := tmp_path / "line.toml").write_text(f"study = '{study}'\n[tasks]\nann = 'tiny'")
+    found = CliRunner().invoke(main, ["serve", "--config", str(file), "--data", str(tmp_path / "data")])
+    assert (found.exit_code, "the table tasks cannot be combined with --study" in found.stderr) == (2, True)
 
 
 @pytest.mark.cases

@@ -8,6 +8,7 @@ import json
 import pickle
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
@@ -21,6 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, TypeAdapter
 
+from assist.declare import tables
 from assist.declare.declared import (
     Count,
     DeclarationError,
@@ -78,6 +80,10 @@ FAULTS: list[tuple[dict[str, Any], str]] = [
     ({"wheels": [{"size": np.True_}]}, f"wheels[1].size {np.True_!r}: expected a number above 0 and below 9"),
     ({"wheels": []}, "wheels []: expected a list of tables"),
     ({"prices": {"x": "y"}}, "prices.x 'y': expected a number"),
+    ({"prices": {1: 2.0}}, "prices: key 1: expected a text"),
+    ({"name": "\ud800"}, "name '\\ud800': expected Unicode text"),
+    ({"drive": "x" * 60_000}, f"""drive '{"x" * 199}...: expected "front" or "rear\""""),
+    ({"load": 10**400}, f"load 1{'0' * 199}...: expected a whole number from 0 to 10"),
 ]
 
 
@@ -108,6 +114,29 @@ def test_a_fault_in_a_file_has_its_line(text: str, message: str, tmp_path: Path)
     with pytest.raises(InputFileError) as caught:
         convert(load(file), Cart, file)
     assert str(caught.value) == f"{file}{message}"
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_the_line_of_a_fault_is_found_in_few_steps_and_with_names_of_any_kind(
+    end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    people = [f'"person-{number}" = "tiny"' for number in range(2000)]
+    text = ["[tasks]", *people, '"Dr. A [1]" = 3', "[other]", "text = '\u2028\x85'", "rows = [", "1,", "2]", "last = 4"]
+    (file := tmp_path / "long.toml").write_bytes(end.join(text).encode())
+    calls, loads = list[str](), tomllib.loads
+
+    def counted(text: str) -> dict[str, Any]:
+        calls.append(text)
+        return loads(text)
+
+    monkeypatch.setattr(tomllib, "loads", counted)
+    for place, line in (
+        ("tasks.Dr. A [1]", "\"Dr. A [1]\" = 3"), ("tasks.person-7", people[7]), ("other.last", "last = 4"),
+        ("other.rows[2]", "rows = ["), ("other.none.x", "[other]"), ("nothing", "[tasks]"),
+    ):  # fmt: skip
+        calls.clear()
+        assert text[tables.line_of(file, place) - 1] == line
+        assert len(calls) < 20
 
 
 def test_a_number_may_begin_with_its_point_also_in_a_list() -> None:

@@ -578,6 +578,7 @@ def test_a_request_that_cannot_be_read_is_told_in_plain_words(web: Web) -> None:
         (422, "POST", "/api/team/people", b"null", f"request body: is missing; {object_}"),
         (400, "POST", act, b'{"action": "\xff"}', f"request body: is not in UTF-8; {object_}"),
         (400, "POST", act, b"[" * 60_000, f"request body: is nested too deeply; {object_}"),
+        (400, "POST", act, b'{"seq": %s}' % (b"9" * 5000), f"request body: has a number of too many digits; {object_}"),
         (405, "PUT", act, b"{}", "PUT: expected POST at this address"),
         (405, "PUT", "/api/people/ann/records", b"", "PUT: expected DELETE at this address"),
         (404, "POST", f"{ANN}/action", b"{}",

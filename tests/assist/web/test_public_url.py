@@ -222,7 +222,8 @@ def test_a_wrong_address_is_one_line(option: tuple[Any, ...], tmp_path: Path, mo
     result = invoke("serve", *option, "--data", "data", "--public-url", "host.example/kits")
     assert result.exit_code == 2
     assert result.stderr.splitlines()[-1] == (
-        "Error: --public-url host.example/kits: expected the address of the service, such as https://host.example/kits"
+        "Error: Invalid value for '--public-url': host.example/kits: expected the address of the service, "
+        "such as https://host.example/kits"
     )
     assert not Path("data").exists()
 
