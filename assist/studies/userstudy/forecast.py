@@ -127,8 +127,9 @@ class Forecast:
     ----------
     study : UserStudy
     actions : dict of arrays, shape (units,)
-        By condition, the actions per task of each unit of analysis, a participant or a group; NaN of those who do not
-        finish. Rows are the same units, each time with random numbers of their own. Empty if no task can be simulated.
+        By condition, the actions per task of each unit of analysis: a participant who finishes all tasks, or the
+        members of a group who do; NaN without any. Rows are the same units, each time with random numbers of their
+        own. Empty if no task can be simulated.
     assisted : dict of float
         By condition, the percentage of people to whom the robot makes a suggestion in a task.
     """
@@ -171,8 +172,8 @@ class Forecast:
                 place = [one.name for one in study.conditions].index(name)
                 with _own_code(study, place + 1, policies[place]):
                     runs = people.simulated(place, policies[place])
-                each = [np.where(run.finished, run.actions, np.nan)[:, : people.members].mean(axis=1) for run in runs]
-                actions[name].append(np.mean(each, axis=0))
+                each = [np.where(run.finished, run.actions, np.nan)[:, : people.members] for run in runs]
+                actions[name].append(_known_mean(np.mean(each, axis=0)))
                 assisted[name].append(100 * fmean(float((run.helped > 0).mean()) for run in runs))
                 spent += sum(int(run.actions.sum()) for run in runs)
             joined = {} if briefly else {name: np.concatenate(own) for name, own in actions.items()}
@@ -272,8 +273,8 @@ class Forecast:
         if not self.actions:
             return _Difference.of(np.empty(0), np.empty(0), paired=True)
         own, other = self.actions[condition], self.actions[self.study.reference]
-        both = np.isfinite(own) & np.isfinite(other)
-        return _Difference.of(own[both], other[both], paired=self.study.is_within)
+        counted = (np.logical_and if self.study.is_within else np.logical_or)(np.isfinite(own), np.isfinite(other))
+        return _Difference.of(own[counted], other[counted], paired=self.study.is_within)
 
 
 @dataclass(frozen=True)
@@ -283,7 +284,7 @@ class _Difference:
     Attributes
     ----------
     units : int
-        Units that finish in both conditions.
+        Units that finish in both conditions; between participants, in one or both.
     expected : float
         The mean difference.
     spread : float
@@ -301,20 +302,21 @@ class _Difference:
     def of(cls, own: Floats, other: Floats, *, paired: bool) -> _Difference:
         """Return the difference of two conditions of the same units; `paired` if participants have both.
 
-        Standard errors are those of means of linear approximations, which take numbers of actions as skewed as they
-        are.
+        Values are NaN where a unit does not finish. Standard errors are those of means of linear approximations, which
+        take numbers of actions as skewed as they are.
         """
         n = len(own)
-        if n < 2:
+        if min(np.isfinite(own).sum(), np.isfinite(other).sum()) < 2:
             return cls(n, math.nan, math.nan, (math.nan,) * 3)
-        apart = own - other
-        expected, off = float(apart.mean()), apart - apart.mean()
-        squares = off**2 if paired else ((own - own.mean()) ** 2 + (other - other.mean()) ** 2) / 2
-        variance = float(squares.sum()) / (n - 1)
+        (mine, of_mine), (theirs, of_theirs) = _mean_and_parts(own), _mean_and_parts(other)
+        expected, off = mine - theirs, of_mine - of_theirs
+        squares = [off**2] if paired else [(own - mine) ** 2, (other - theirs) ** 2]
+        means, parts = zip(*map(_mean_and_parts, squares), strict=True)
+        variance = fmean(means) * n / (n - 1)
         if variance == 0:
             return cls(n, expected, 0.0, (0.0, 0.0, 0.0))
         spread = math.sqrt(variance)
-        of_spread = (squares - squares.mean()) / (2 * variance)
+        of_spread = np.mean(parts, axis=0) / (2 * variance)
         each = (off, of_spread, off / spread - expected / spread * of_spread)
         found = [float(one.std(ddof=1)) / math.sqrt(n) for one in each]
         return cls(n, expected, spread, (found[0], found[1], found[2]))
@@ -405,6 +407,20 @@ def _own_code(study: UserStudy, number: int, policy: str | TeamPolicy | None = N
         of_policy = policy is None or (isinstance(policy, UserPolicy) and str(error).startswith(f"{policy.file}:"))
         place = f"conditions[{number}]{'.policy' if of_policy else ''}"
         raise fault(study.file, place, str(error)) from None
+
+
+def _known_mean(values: Floats) -> Floats:
+    """Return the mean of each row without its NaN; NaN for a row of nothing else."""
+    known = np.isfinite(values)
+    with np.errstate(invalid="ignore"):
+        return np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1)
+
+
+def _mean_and_parts(values: Floats) -> tuple[float, Floats]:
+    """Return the mean of values without NaN, and by how much each moves it, times their number; 0 for NaN."""
+    known = np.isfinite(values)
+    mean = float(values[known].mean())
+    return mean, np.where(known, values - mean, 0.0) * (len(values) / known.sum())
 
 
 def _standardised(difference: float, spread: float) -> float:

@@ -118,6 +118,37 @@ def test_intervals_of_a_forecast_hold_where_numbers_of_actions_are_skewed(paired
     assert (held / 400 > 0.91).all(), held / 400
 
 
+def test_who_does_not_finish_is_left_out_as_in_the_report(found: Forecast, tiny: Table, tmp_path: Path) -> None:
+    """Between participants, who finishes in one condition counts in that one; of a group, the members who finish."""
+    own, other = found.actions["attention"].copy(), found.actions["none"].copy()
+    own[:10], other[5:20] = np.nan, np.nan
+    (shown,) = replace(found, actions={"attention": own, "none": other}).sensitivity()
+    known = own[np.isfinite(own)], other[np.isfinite(other)]
+    assert shown.expected == pytest.approx(known[0].mean() - known[1].mean())
+    assert shown.actions is not None
+    assert shown.hedges_g is not None
+    variance = (known[0].var() + known[1].var()) / 2 * 35 / 34  # of 40 units, 5 finish in neither condition
+    assert shown.actions / shown.hedges_g == pytest.approx(np.sqrt(variance))
+    rng, missed = np.random.default_rng(1), 0
+    for _ in range(400):
+        own, other = rng.gamma(2.0, 5.0, (2, 100))
+        own[rng.random(100) < 0.3], other[rng.random(100) < 0.1] = np.nan, np.nan
+        one = forecasts._Difference.of(own, other, paired=False)
+        missed += not one.expected_interval[0] < 0 < one.expected_interval[1]
+    assert missed / 400 < 0.08
+
+    groups = PLAN.replace("simulated = 2", "group = { size = 2 }").replace("[setting]", "[setting]\nmax_steps = 9")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(forecasts, "PEOPLE", 40)
+        some = forecast(tmp_path, tiny, text=groups)
+        each = forecasts._Round(some.study, [tiny], 0, 40)
+    (run,) = each.simulated(0, "none")
+    finished, actions = run.finished[:, :2], run.actions[:, :2]
+    expected = [row[ended].mean() if ended.any() else np.nan for row, ended in zip(actions, finished, strict=True)]
+    assert 0 < (finished.sum(axis=1) == 1).sum()
+    np.testing.assert_allclose(some.actions["none"], expected)
+
+
 def test_rounds_end_when_the_effort_is_spent_and_each_has_people_of_its_own(
     tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
