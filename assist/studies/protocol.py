@@ -109,8 +109,9 @@ def read(study: str | Path, *, repeats: int | None = None, baseline: str | None 
             )
         file = PROTOCOLS / f"{study}.toml"
     table = convert(load(file), StudyTable, file)
-    table = replace(table, repeats=repeats or table.repeats, baseline=baseline or table.baseline)
-    return Reader(file, table).study()
+    reader = Reader(file, replace(table, repeats=repeats or table.repeats))
+    found = reader.study()
+    return found if baseline is None else replace(found, baseline=reader.baseline(baseline, found))
 
 
 @dataclass(frozen=True)
@@ -154,13 +155,22 @@ class Reader:
         for number, own in enumerate(table.contrasts, start=1):
             among(self.file, f"contrasts[{number}].of", own.of, people)
             among(self.file, f"contrasts[{number}].to", own.to, people)
-        self._check_reference(people, first)
-        return Study(
+        study = Study(
             **{name: getattr(table, name) for name in names_of(StudyPlan)}, file=self.file,
             title=table.title or self.file.stem, focus=focus, baseline=baseline, populations=tuple(people.items()),
             instances=instances, own_policies=tuple(self.own.items()), default=setting, conditions=tuple(conditions),
             contrasts=table.contrasts, reference=table.reference,
         )  # fmt: skip
+        self._check_reference(study, people)
+        return study
+
+    def baseline(self, given: str, study: Study) -> str:
+        """Return the name of a baseline that is given in place of the file's."""
+        known = [name for name in study.conditions[0].policies if name != study.focus]
+        name = self._name_of(given)
+        if name not in known:
+            raise InputFileError(f"baseline '{given}'; {meant(given, known)}")
+        return name
 
     def _condition(
         self, place: str, own: ConditionTable, instances: tuple[str, ...], people: tuple[str, ...],
@@ -211,16 +221,19 @@ class Reader:
 
     def _one_of(self, place: str, given: str, known: tuple[str, ...]) -> str:
         """Return the name of one of some policies, which may be given as FILE.py:FUNCTION."""
-        own = parse(given, self.file.parent)
-        name = given if own is None or own not in self.own.values() else own[1]
-        return among(self.file, place, (name,), known)[0]
+        return among(self.file, place, (self._name_of(given),), known)[0]
 
-    def _check_reference(self, people: Iterable[str], first: Condition) -> None:
+    def _name_of(self, given: str) -> str:
+        own = parse(given, self.file.parent)
+        return given if own is None or own not in self.own.values() else own[1]
+
+    def _check_reference(self, study: Study, people: Iterable[str]) -> None:
         """Check the names in the reference."""
         table = self.table.reference
         if table is None:
             return
-        known = {f"{m}_vs_{p.replace('-', '_')}" for m in ("actions", "interventions") for p in first.policies}
+        others = [name.replace("-", "_") for name in study.compared_with(study.focus)]
+        known = {f"{measure}_vs_{name}" for measure in ("actions", "costs", "interventions") for name in others}
         for key in table.headline:
             if key not in known:
                 raise fault(self.file, f"reference.headline.{key}", f"unknown; {meant(key, sorted(known))}")

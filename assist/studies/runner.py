@@ -177,10 +177,11 @@ def _whole_cells(study: Study, file: Path, order: Mapping[Cell, int], warn: Call
     found, damaged = _readable(file, _is_episode)
     lines: dict[Cell, dict[tuple[object, ...], str]] = {}
     broken = set()
+    beyond = max((cell for record, _ in found if (cell := _cell(record)) not in order), key=_repeat, default=None)
+    if beyond is not None:
+        raise InputFileError(f"{file}: has {beyond}; expected --repeats {beyond.repeat + 1} or more")
     for record, line in found:
         cell = _cell(record)
-        if cell not in order:
-            raise InputFileError(f"{file}: has {cell}; expected --repeats {cell.repeat + 1} or more")
         own = lines.setdefault(cell, {})
         which = tuple(record[name] for name in EPISODE)
         if which in own:
@@ -190,6 +191,10 @@ def _whole_cells(study: Study, file: Path, order: Mapping[Cell, int], warn: Call
     order_of = {cell: list(study.episodes_of(cell)) for cell in lines.keys() - broken}
     whole = [cell for cell in lines if cell in order_of and set(order_of[cell]) == set(lines[cell])]
     return {cell: "".join(lines[cell][which] for which in order_of[cell]) for cell in whole}
+
+
+def _repeat(cell: Cell) -> int:
+    return cell.repeat
 
 
 def _is_episode(record: Mapping[str, Any]) -> bool:

@@ -28,7 +28,6 @@ from .style import (
     looks,
     sample,
     styled,
-    whole_numbers,
 )
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ def team_size_figure(cells: DataFrame) -> Figure:
             _from_nothing(axis, own)
             axis.set_ylabel(MEASURES[measure])
             axis.grid(axis="y")
-            whole_numbers(axis.xaxis)
+            _mark_sizes(axis, cells)
     for axis in rows[-1].values():
         axis.set_xlabel("people in the team, K")
     legend_below(figure, _what_bars_mean(cells))
@@ -176,7 +175,7 @@ def benefit_figure(cells: DataFrame, published: Mapping[str, float] | None = Non
             axis.set_ylim(max(low, min([0, *here]) - far), min(high, max([0, *here]) + far))
         axis.set_title(instance, loc="left", fontweight="bold")
         axis.set(xlabel="people in the team, K", ylabel="saving, %")
-        whole_numbers(axis.xaxis)
+        _mark_sizes(axis, cells)
         axis.grid(axis="y")
     entries = [entry("95 % interval", **THICK)]
     if marked:
@@ -184,6 +183,13 @@ def benefit_figure(cells: DataFrame, published: Mapping[str, float] | None = Non
     legend_below(figure, entries)
     name_curves(figure, ends)
     return figure
+
+
+def _mark_sizes(axis: Axes, cells: DataFrame) -> None:
+    """Mark the horizontal axis at the team sizes that there are, or at a selection of many."""
+    from matplotlib.ticker import FixedLocator
+
+    axis.xaxis.set_major_locator(FixedLocator(sorted(set(cells["humans"])), nbins=12))
 
 
 def _dodge(count: int, gap: float) -> Sequence[float]:

@@ -169,7 +169,7 @@ def limit_notes(summary: Record) -> Iterator[str]:
     for group in groups:
         if group["cut_off"]:
             where = f" ({', '.join(_which(group, columns))})" if columns else ""
-            finished = ", ".join(f"{policy} {interval(each)}" for policy, each in group["finished"].items())
+            finished = ", ".join(f"{policy} {interval(each, 2)}" for policy, each in group["finished"].items())
             yield (
                 f"in {group['cut_off']:,} of {group['episodes']:,} episodes{where} somebody had not finished after "
                 f"{group['max_steps']} steps, or could not any more: savings count until then, and their intervals say "

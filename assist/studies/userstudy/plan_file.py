@@ -113,8 +113,10 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     among(file, "reference", [reference], names)
     instances = [found(f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
     stems = [task.problem.stem for task in instances]
-    if len(set(stems)) < len(stems):
-        raise fault(file, "tasks", "two tasks have the same file name; expected different names")
+    for number, stem in enumerate(stems):
+        if stem in stems[:number]:
+            both = f"{table.tasks[stems.index(stem)]} and {table.tasks[number]}"
+            raise fault(file, "tasks", f"{both} have the same file name; expected different names, such as of copies")
     words = _words(file, table.language, carried_out)
     questionnaires = questionnaires_of(file, table.questionnaires, names, words, within=table.design == WITHIN)
     _check_group(file, table)

@@ -72,6 +72,17 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
     assert not (study.teams(1, 3) == teams).all()
 
 
+def test_a_reference_has_the_savings_of_a_headline(tmp_path: Path) -> None:
+    published = "[reference]\nname = 'me'\nsource = 'me'\nheadline = { costs_vs_none = 3 }\n[populations.everybody]"
+    text = TINY.replace("[populations.everybody]", published)
+    reference = read(write(tmp_path, text)).reference
+    assert reference is not None
+    assert dict(reference.headline) == {"costs_vs_none": 3}
+    assert read(write(tmp_path, text), baseline="reactive").reference == reference  # the file is what it was
+    with pytest.raises(InputFileError, match=r"headline.costs_vs_none: unknown; did you mean 'costs_vs_reactive'"):
+        read(write(tmp_path, text.replace("seed = 5", "seed = 5\nbaseline = 'reactive'")))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -82,6 +93,11 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
             "[populations.everybody]",
             "[reference]\nsource = 'me'\nheadline = { actions_vs_non = 3 }\n[populations.everybody]",
             "reference.headline.actions_vs_non: unknown; did you mean 'actions_vs_none'?",
+        ),
+        (
+            "[populations.everybody]",
+            "[reference]\nsource = 'me'\nheadline = { actions_vs_attention = 3 }\n[populations.everybody]",
+            "reference.headline.actions_vs_attention: unknown; ",
         ),
         ("pool = 4", "pool = 1", "conditions[1].humans: 2 people in a team; expected at most 1, the size of the pool"),
         ("tiny.pddl", "tinny.pddl", "tinny.pddl: no such file"),

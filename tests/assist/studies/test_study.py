@@ -69,7 +69,7 @@ def test_repeats_can_be_added_and_another_study_is_refused(
     with pytest.raises(InputFileError, match="exists; resume it, or choose another folder"):
         run_study(study, out)
     with pytest.raises(InputFileError, match="expected --repeats 3 or more"):
-        run_study(read(study.file, repeats=2), out, resume=True)
+        run_study(read(study.file, repeats=1), out, resume=True)
     with pytest.raises(InputFileError, match="the results belong to another study"):
         run_study(read(write(tmp_path, TINY.replace("seed = 5", "seed = 4"))), out, resume=True)
     assert (out / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()

@@ -153,6 +153,14 @@ def test_team_sizes_are_drawn_as_given(team_sizes: pd.DataFrame) -> None:
     assert any("30 runs" in text for text in legend(figure))
 
 
+@pytest.mark.parametrize("sizes", [{2}, {1, 3}])
+def test_team_sizes_that_were_simulated_are_marked_and_no_others(team_sizes: pd.DataFrame, sizes: set[int]) -> None:
+    figure = study_figures.team_size_figure(team_sizes[team_sizes["humans"].isin(sizes)])
+    for axis in figure.axes:
+        low, high = axis.get_xlim()
+        assert [tick for tick in axis.get_xticks() if low <= tick <= high] == sorted(sizes)
+
+
 @pytest.mark.slow
 def test_names_beside_lines_do_not_cover_each_other(team_sizes: pd.DataFrame) -> None:
     together = team_sizes.assign(mean=10.0, low=9.0, high=11.0)

@@ -98,7 +98,7 @@ def test_a_study_has_another_baseline_and_the_focus_is_given_as_its_policy_is(
     assert {row["policy"] for row in arms} == {"none", "attention"}
     assert "| actions | reactive | none |" in other.text
     assert not any(key.endswith("vs_none") for key in other.summary["headline"])
-    with pytest.raises(InputFileError, match="baseline: 'reactiv'; did you mean 'reactive'"):
+    with pytest.raises(InputFileError, match=r"^baseline 'reactiv'; did you mean 'reactive'"):
         read(study.file, baseline="reactiv")
     (tmp_path / "mine.py").write_text("def own(team):\n    pass\n")
     plan = TINY.replace("repeats = 3", 'repeats = 3\npolicies = ["none", "mine.py:own"]\nfocus = "mine.py:own"', 1)
