@@ -218,8 +218,8 @@ class Report:
         The same for repetitions of the message.
     kind : str
         The kind of event (`assist.live.events`).
-    values : mapping of str to str
-        Its other fields.
+    values : mapping of str to object
+        Its other fields, as texts or as the event has them.
     number : int or None
         Its place among the reports of this person, counted from 1.
     fault : str or None
@@ -229,7 +229,7 @@ class Report:
     person: str
     id: str
     kind: str = "acted"
-    values: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)
     number: int | None = None
     fault: str | None = None
 
@@ -273,7 +273,8 @@ WORDS = {"true": True, "false": False, "null": None}
 
 def _read(text: Any) -> Any:
     """Return the number or table that is written in a text; None for others."""
-    if not re.fullmatch(r"-?\d{1,15}(\.\d{1,40})?([eE][+-]?\d{1,3})?|\{.*\}", str(text), re.DOTALL):
+    number_or_table = r"-?\d{1,15}(\.\d{1,40})?([eE][+-]?\d{1,3})?|\{.*\}"
+    if not isinstance(text, str) or not re.fullmatch(number_or_table, text, re.DOTALL):
         return None
     try:
         return json.loads(text)

@@ -26,8 +26,8 @@ class Reporting(Protocol):
     def begun(self, person: str, identifier: str) -> Message:
         """Return what is reported by an id that is written to `Begin`."""
 
-    async def called(self, person: str, parent: Any, action: Any, identifier: Any, seq: Any) -> list[Any]:
-        """Answer a call of `Report`."""
+    async def called(self, person: str, parent: Any, *given: Any) -> Any:
+        """Answer a call of `Report`; with a status if its arguments are wrong."""
 
 
 @dataclass

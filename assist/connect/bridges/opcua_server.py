@@ -26,6 +26,9 @@ from .opcua_nodes import NAMESPACE, UNKNOWN, Nodes
 from .opcua_settings import OwnServerSettings, password
 from .transport import Answer, Message, Output, Reported, Transport
 
+ARGUMENTS = (str, str, int)
+"""Types of the arguments of `Report`; each may be null."""
+
 
 class _Users:
     """Who may use the server: all clients, or those with the name and password."""
@@ -120,12 +123,19 @@ class OwnServer(Transport):
                     self.counts["values"] += 1
                     self._received.put_nowait(message)
 
-    async def called(self, person: str, parent: Any, action: Any, identifier: Any, seq: Any) -> list[Any]:
+    async def called(self, person: str, parent: Any, *given: Any) -> Any:
         """Answer a call of `Report` with its status, a refusal's reason, and the number of the event."""
         self.counts["calls"] += 1
-        report = self._report(person, str(action.Value or ""), identifier.Value or uuid.uuid4().hex)
-        if seq.Value is not None and seq.Value > UNKNOWN:
-            report = replace(report, values={**report.values, "seq": str(seq.Value)})
+        codes, values = self._library.ua.StatusCodes, [one.Value for one in given]
+        if len(values) != len(ARGUMENTS):
+            few = len(values) < len(ARGUMENTS)
+            return self._library.ua.StatusCode(codes.BadArgumentsMissing if few else codes.BadTooManyArguments)
+        if not all(isinstance(one, kind | None) for one, kind in zip(values, ARGUMENTS, strict=True)):
+            return self._library.ua.StatusCode(codes.BadInvalidArgument)
+        action, identifier, seq = values
+        report = self._report(person, action or "", identifier or uuid.uuid4().hex)
+        if seq not in (None, UNKNOWN):
+            report = replace(report, values={**report.values, "seq": seq})
         answered = asyncio.get_running_loop().create_future()
         self._received.put_nowait(Reported(report, answered=partial(_resolve, answered)))
         answer: Answer = await answered

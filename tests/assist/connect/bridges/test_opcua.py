@@ -285,6 +285,17 @@ def test_systems_that_poll_have_a_server_with_a_password_once_its_address_is_fre
             status, _, seq = await call('{"action": "(fetch box-b)"}', "call-1", unseen)
             assert (status, seq) == ("recorded", await poll.read("People/bob/Seq"))
             assert (await call('{"action": "(fetch box-b)"}', "call-1", unseen))[2] == seq
+            for wrong, code in (
+                (("x",), "BadArgumentsMissing"), (("x", "2", unseen, "4"), "BadTooManyArguments"),
+                (("x", 7, unseen), "BadInvalidArgument"),
+            ):  # fmt: skip
+                with pytest.raises(ua.UaError, match=code):
+                    await call(*wrong)
+            for number, why in ((-2, "seq -2: expected"), (10**18, f"seq {10**18}: there is no such view yet")):
+                status, detail, _ = await call(
+                    '{"action": "(fetch box-a)"}', "", ua.Variant(number, ua.VariantType.Int64)
+                )
+                assert (status, why in detail) == ("refused", True), detail
             await poll.node("People/bob/Begin").write_value("next-1")
             assert (await poll.answer("bob", "next-1"))["status"] == "recorded"
 
@@ -325,5 +336,5 @@ def test_systems_that_poll_have_a_server_with_a_password_once_its_address_is_fre
     for one in (here, there):
         assert done_of(one.session.history.log(), expected) == expected
     assert here.session.history.beliefs() == there.session.history.beliefs()
-    counted = {"values": 10, "calls": 3, "messages": 11, "recorded": 10, "refused": 1}
+    counted = {"values": 10, "calls": 8, "messages": 13, "recorded": 10, "refused": 3}
     assert counted.items() <= here.bridge.counts.items()
