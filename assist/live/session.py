@@ -81,9 +81,8 @@ class Session(Reports):
     Raises
     ------
     InputFileError
-        The journal belongs to a running session, to one with other tasks or settings, or to another version.
-    InputFileError
-        Something else has changed the journal.
+        The journal belongs to a running session, to one with other tasks or settings, or to another version, or
+        something else has changed it.
     OSError
         The journal cannot be written.
     """

@@ -104,9 +104,7 @@ class EventStore(Generic[R]):
     Raises
     ------
     InputFileError
-        Another process uses it.
-    InputFileError
-        The file is no database of a session, or is damaged.
+        Another process uses it, or it is no database of a session, or is damaged.
     OSError
         It cannot be written.
     """

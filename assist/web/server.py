@@ -222,7 +222,7 @@ class ServedTeam:
 
         Raises
         ------
-        InputFileError, InputFileError, OSError
+        InputFileError, OSError
             As in `Session`.
         ValueError
             An invalid combination, such as a choice model and a task that is too large for it.
