@@ -18,7 +18,7 @@ from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
 from ..people.ranges import Population
 from ..person.pomdp import AssistPOMDP
-from ..person.settings import Setting
+from ..person.settings import Setting, require_effect
 from ..team.beginning import Beginnings, World
 from ..team.common_random_numbers import CommonRandomNumbers
 from ..team.engine import Engine, StepTaken
@@ -74,7 +74,7 @@ class PoolSource:
             self._known = known_costs(instance)
             self.pool = self._sample(0)
         self.pool.setting.require_questions(possible=False)
-        self.pool.setting.require_effect()
+        require_effect([self.pool.setting])
         if not 1 <= humans <= len(self.pool.people):
             raise ValueError(f"humans {humans}: expected 1 to {len(self.pool.people)}, the size of the pool")
 

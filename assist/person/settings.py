@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -209,15 +210,11 @@ class Setting(OfRobots):
         if self.c_ask is None and self.ask_error:
             raise ValueError(f"ask_error {self.ask_error:g} has no effect without c_ask; expected 0")
 
-    def require_effect(self) -> None:
-        """Raise an error if a cost or a rate was changed that has no effect together with the other parameters."""
-        without = {"c_execute": not self.fleet.executes and "robots that execute"}
+    def without_effect(self) -> dict[str, str]:
+        """Return the costs and rates that have no effect with the other parameters, each with what they need."""
         by_equation_seven = self.trust in (None, "paper") or self.believed_trust == "paper"
-        without |= dict.fromkeys(("eta", "utility_scale"), not by_equation_seven and "trust 'paper'")
-        for name, what in without.items():
-            value, usual = getattr(self, name), default_of(Setting, name)
-            if what and value != usual:
-                raise ValueError(f"{name} {value:g} has no effect without {what}; expected {usual:g}")
+        found = {} if self.fleet.executes else {"c_execute": "robots that execute"}
+        return found | ({} if by_equation_seven else dict.fromkeys(("eta", "utility_scale"), "trust 'paper'"))
 
     def rule_of_people(self) -> TrustRule:
         """Return the rule by which people's theta moves, also by what they see of each other."""
@@ -245,3 +242,13 @@ class Setting(OfRobots):
         return Travel.of(
             places, c_move=fleet.each("c_move"), travel_time=fleet.each("travel_time"), distance=distance
         )  # fmt: skip
+
+
+def require_effect(settings: Iterable[Setting]) -> None:
+    """Raise a `ValueError` if a cost or a rate was changed that has no effect in any of some settings."""
+    every = list(settings)
+    for name, what in every[0].without_effect().items():
+        usual = default_of(Setting, name)
+        changed = [value for one in every if (value := getattr(one, name)) != usual]
+        if changed and all(name in one.without_effect() for one in every):
+            raise ValueError(f"{name} {changed[0]:g} has no effect without {what}; expected {usual:g}")

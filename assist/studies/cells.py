@@ -25,6 +25,7 @@ from ..person.assumptions import Assumptions
 from ..person.leaf_bounds import LeafBounds
 from ..person.person_problem import is_whole
 from ..person.qmdp import qmdp
+from ..person.settings import require_effect
 from ..person.solution_cache import SolutionCache
 from ..person.state_cache import StateCache
 from ..person.truncated_task import TruncatedTask
@@ -206,6 +207,10 @@ def check(study: Study, progress: Progress = lambda *_: None) -> None:
             _own(file, name)
         except UserCodeError as error:
             raise InputFileError(str(error)) from None
+    try:
+        require_effect(setting for condition in study.conditions for _, setting in condition.settings)
+    except ValueError as error:
+        raise fault(study.file, "setting", str(error)) from None
     for number, condition in enumerate(study.conditions, start=1):
         for which, (label, setting) in enumerate(condition.settings, start=1):
             for name in condition.instances:

@@ -23,7 +23,7 @@ from ...declare.declared import AnyTable, Expected, Text, Texts, Truth, Whole, d
 from ...declare.tables import convert, fault, load, replaced
 from ...people.ranges import Population
 from ...people.real_people import OF_ADVICE_TAKERS, advice_takers
-from ...person.settings import Setting
+from ...person.settings import Setting, require_effect
 from ..plan_tables import among, different, own_policy, population, tasks
 from .outcomes import OUTCOMES
 from .plan import WITHIN, Condition, UserStudy, UserStudyPlan
@@ -197,6 +197,11 @@ def _conditions(file: Path, table: FileTable, carried_out: bool) -> tuple[Condit
         where = f"{place}.setting" if content else "setting"
         found.append(replace(one, setting=_setting(file, table.setting | content, where)))
     different(file, "conditions", [one.name for one in found])
+    if found and not carried_out:
+        try:
+            require_effect(one.setting for one in found)
+        except ValueError as error:
+            raise fault(file, "setting", str(error)) from None
     for number, one in enumerate(found, start=1):
         own_policy(file, f"conditions[{number}].policy", one.policy, must_exist=not carried_out)
     return tuple(found)

@@ -166,6 +166,10 @@ def test_what_can_be_read_but_not_done_is_refused_before_the_work(tmp_path: Path
         check(read(write(tmp_path, TINY.replace("tiny.pddl", "unsolvable.pddl"))))
     with pytest.raises(InputFileError, match=r"episodes; expected at most 100,000,000"):
         check(read(write(tmp_path), repeats=10**20))
+    idle = TINY.replace("c_suggest = 0.2\n", 'c_suggest = 0.2\ntrust = "constant"\neta = 0.5\n', 1)
+    with pytest.raises(InputFileError, match=r"setting: eta 0.5 has no effect without trust 'paper'; expected 0.2"):
+        check(read(write(tmp_path, idle)))
+    check(read(write(tmp_path, idle.replace("c_suggest = 0.6", 'c_suggest = 0.6, trust = "paper"'))))  # which it has
     (tmp_path / "mine.py").write_text("other = 1\n")
     with pytest.raises(InputFileError, match=r"mine.py: has no function 'mine'"):
         check(read(write(tmp_path, TINY.replace('["attention"]', '["mine.py:mine"]'))))

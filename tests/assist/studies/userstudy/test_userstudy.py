@@ -40,6 +40,7 @@ __all__ = ["opened"]
 
 
 FAULTS = [
+    ("[setting]", "[setting]\neta = 0.5", "setting: eta 0.5 has no effect without trust 'paper'; expected 0.2"),
     ('reference = "none"', 'reference = "nobody"', "reference: 'nobody'; expected one of none, attention"),
     ('policy = "attention"', 'policy = "attentive"', r"conditions\[2\].policy: 'attentive'; did you mean 'attention'"),
     ("c_move = 0.01", "c_mov = 0.01", "setting.c_mov: unknown; did you mean 'c_move'"),
