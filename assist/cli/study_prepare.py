@@ -19,7 +19,7 @@ from .options.common import INPUT_FILE, data_option
 from .options.help import command
 from .options.listening import public_url_option
 from .options.task import costs_of
-from .terminal.console import note, print_json
+from .terminal.console import kept_if_interrupted, note, print_json
 
 if TYPE_CHECKING:
     from ..studies.userstudy.forecast import Forecast
@@ -45,7 +45,8 @@ def study_prepare(
     """Preregister a user study, or sign the links of its participants.
 
     The registration holds FILE.toml, and digests of it and of the analysis. The report states what has changed. Which
-    differences the study can show is said on stderr, by simulation, and which policy hardly suggests anything.
+    differences the study can show is said on stderr, by simulation, and which policy hardly suggests anything. Ctrl-C
+    ends the simulation and shows what is known by then; the registration stays.
     """
     from ..declare.declared import plain
     from ..studies.reports.preregistration import register, unregister
@@ -60,17 +61,23 @@ def study_prepare(
         if data is None and not check:
             raise click.UsageError("expected --data DIR, the folder of the study, or --check")
         record = None if check or data is None else register(study, data)  # before simulations, which take long
+        if record is not None:
+            note(f"registered in {data}; simulations of what the study can show follow")
+        known: list[Forecast] = []
         try:
-            forecast = _forecast(study)
-            remarks = [*forecast.remarks(), *_participants(study, forecast, difference)]
-        except BaseException:
-            if record is not None and data is not None:
+            with kept_if_interrupted(lambda: known or record):
+                for found in _rounds(study):
+                    known[:] = [found]
+        except BaseException as error:
+            if record is not None and data is not None and not isinstance(error, KeyboardInterrupt):
                 unregister(data)
+                note(f"the study cannot be carried out, so that it is no longer registered in {data}")
             raise
-        for text in remarks:
-            note(text)
+        for forecast in known:
+            for text in (*forecast.remarks(), *_participants(study, forecast, difference)):
+                note(text)
         if record is None:
-            shown = [plain(one) for one in forecast.sensitivity()]
+            shown = [plain(one) for one in known[0].sensitivity()]
             counts = {"places": study.participants, "comparisons": study.comparisons}
             print_json({"study": str(file), **counts, "sensitivity": shown})
             note(f"{file} can be carried out; nothing is registered yet")
@@ -93,8 +100,8 @@ def study_prepare(
     writer.writerows((one, participant_url(access, one, data)) for one in ids)
 
 
-def _forecast(study: UserStudy) -> Forecast:
-    """Return simulated participants of a study, whose tasks are solved first."""
+def _rounds(study: UserStudy) -> Iterator[Forecast]:
+    """Yield simulated participants of a study, whose tasks are solved first, after each round."""
     from ..studies.userstudy.forecast import Forecast
 
     tasks = {
@@ -103,7 +110,7 @@ def _forecast(study: UserStudy) -> Forecast:
     }
     with stages() as show:
         show("simulating participants", 0, None)
-        return Forecast.of(study, tasks)
+        yield from Forecast.rounds(study, tasks, progress=show)
 
 
 def _participants(study: UserStudy, forecast: Forecast, difference: float | None) -> Iterator[str]:

@@ -20,6 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from planner import CostToGo, Table
+from planner.system.progress import Progress
 
 from ...declare.declared import Count, Number, Text, Whole, declared
 from ...declare.tables import fault
@@ -140,7 +141,14 @@ class Forecast:
 
     @classmethod
     def of(cls, study: UserStudy, tasks: Mapping[str, CostToGo], *, briefly: bool = False) -> Forecast:
-        """Simulate the conditions of a study.
+        """Return the last of the `rounds`."""
+        return list(cls.rounds(study, tasks, briefly=briefly))[-1]
+
+    @classmethod
+    def rounds(
+        cls, study: UserStudy, tasks: Mapping[str, CostToGo], *, briefly: bool = False, progress: Progress | None = None
+    ) -> Iterator[Forecast]:  # fmt: skip
+        """Simulate the conditions of a study, and yield what is known after each round.
 
         Parameters
         ----------
@@ -149,6 +157,8 @@ class Forecast:
             Tasks by name. Those that are solved on demand are too large to be simulated here.
         briefly : bool
             Whether only what `seldom_assisted` needs is simulated, with fewer people; `actions` is then empty.
+        progress : callable, optional
+            Receives the number of actions of simulated people, and `EFFORT`.
 
         Raises
         ------
@@ -161,8 +171,9 @@ class Forecast:
                 policies.append(policy_of(study, one.policy))
         known = [table for name, _ in study.tasks if isinstance(table := tasks[name], Table)]
         if not known:
-            return cls(study, {}, {})
-        found, spent = cls(study, {}, {}), 0
+            yield cls(study, {}, {})
+            return
+        spent = 0
         names = [one.name for one in study.conditions if not briefly or one.policy in WEIGHING]
         actions: dict[str, list[Floats]] = {name: [] for name in names}
         assisted: dict[str, list[float]] = {name: [] for name in names}
@@ -176,11 +187,13 @@ class Forecast:
                 actions[name].append(_known_mean(np.mean(each, axis=0)))
                 assisted[name].append(100 * fmean(float((run.helped > 0).mean()) for run in runs))
                 spent += sum(int(run.actions.sum()) for run in runs)
+                if progress is not None:
+                    progress(f"simulating participants, at most {EFFORT:,} actions", min(spent, EFFORT), EFFORT)
             joined = {} if briefly else {name: np.concatenate(own) for name, own in actions.items()}
             found = cls(study, joined, {name: fmean(own) for name, own in assisted.items()})
+            yield found
             if briefly or spent >= EFFORT or all(found._difference(name).is_precise for name in found._compared):
-                return found
-        raise AssertionError("rounds have no end")
+                return
 
     def seldom_assisted(self) -> Iterator[str]:
         """Yield a sentence on each condition whose policy weighs costs and hardly assists anybody."""

@@ -9,6 +9,7 @@ import math
 import re
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import combinations, permutations
@@ -598,12 +599,12 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
     file, data = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data"
     there = list[bool]()
 
-    def forecast(study: UserStudy, _: object) -> Forecast:  # a true one takes seconds
+    def rounds(study: UserStudy, _: object, **__: object) -> Iterator[Forecast]:  # true ones take seconds
         there.append((data / REGISTERED).exists())
         time.sleep(0.05)
-        return Forecast(study, {}, {})
+        yield Forecast(study, {}, {})
 
-    monkeypatch.setattr(Forecast, "of", forecast)
+    monkeypatch.setattr(Forecast, "rounds", rounds)
     with monkeypatch.context() as patched:
         patched.setattr("planner.system.progress.BETWEEN_LINES", 0.01)
         said = invoke("study-prepare", file, "--data", data)
@@ -726,10 +727,33 @@ def test_a_fault_of_an_own_policy_is_said_in_one_line_before_anything_is_registe
     file = written(tmp_path / "study.toml", text)
     (line,) = [number for number, one in enumerate(text.splitlines(), start=1) if "own.py" in one]
     refused = invoke("study-prepare", file, "--data", tmp_path / "data")
-    assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1), refused.output
+    assert (refused.exit_code, refused.stderr.count("own.py")) == (2, 1), refused.output
     assert f"{file}:{line}: conditions[2].policy: {tmp_path / 'own.py'}" in refused.stderr
+    assert f"no longer registered in {tmp_path / 'data'}" in refused.stderr
     assert said in refused.stderr
     assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize("after", [0, 1])
+@pytest.mark.usefixtures("few_people")
+def test_an_interrupt_ends_the_simulation_and_keeps_the_registration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int
+) -> None:
+    """What is known by then is said: nothing before the first round has ended."""
+    file, data, rounds = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data", Forecast.rounds
+
+    def interrupted(study: Any, tasks: Any, **more: Any) -> Iterator[Forecast]:
+        yield from list(rounds(study, tasks, **more))[:after]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Forecast, "rounds", interrupted)
+    said = invoke("study-prepare", file, "--data", data)
+    assert said.exit_code == 130, said.output
+    assert json.loads(said.stdout)["registered"] == json.loads((data / REGISTERED).read_text())["registered"]
+    assert said.stderr.count("attention minus none") == after
+    assert "interrupted; what was finished by then is shown" in said.stderr
+    checked = invoke("study-prepare", file, "--check")
+    assert (checked.exit_code, checked.stdout.count("sensitivity")) == (130, after), checked.output
 
 
 @pytest.mark.cases
@@ -749,14 +773,14 @@ def test_a_fault_of_an_own_trust_rule_is_not_said_of_the_policy(
 @pytest.mark.cases
 @pytest.mark.usefixtures("few_people")
 def test_participants_who_show_a_difference_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made, forecast = list[Forecast](), Forecast.of
+    made, rounds = list[Forecast](), Forecast.rounds
 
-    def once(study: Any, tasks: Any) -> Forecast:
-        """Return the forecast, whose people are the same whatever the design and the difference."""
-        made[:] = made or [forecast(study, tasks)]
-        return replace(made[0], study=study)
+    def once(study: Any, tasks: Any, **more: Any) -> Iterator[Forecast]:
+        """Yield the forecast, whose people are the same whatever the design and the difference."""
+        made[:] = made or list(rounds(study, tasks, **more))
+        yield replace(made[-1], study=study)
 
-    monkeypatch.setattr(Forecast, "of", once)
+    monkeypatch.setattr(Forecast, "rounds", once)
     for text in (CONFIRMED, WITHIN):
         file = written(tmp_path / "study.toml", text.replace("seed = 3", f"{ALIKE}\nparticipants = 24"))
         (shown,) = json.loads(invoke("study-prepare", file, "--check").stdout)["sensitivity"]

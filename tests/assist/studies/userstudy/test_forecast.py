@@ -157,7 +157,10 @@ def test_rounds_end_when_the_effort_is_spent_and_each_has_people_of_its_own(
     ended = []
     for effort in (0, 2500):
         monkeypatch.setattr(forecasts, "EFFORT", effort)
-        ended.append(Forecast.of(study, {"tiny": tiny}))
+        seen: list[tuple[str, int, int | None]] = []
+        ended += [list(Forecast.rounds(study, {"tiny": tiny}, progress=lambda *now: seen.append(now)))[-1]]  # noqa: B023
+    assert [total for _, _, total in seen] == [effort] * len(seen)
+    assert [done for _, done, _ in seen] == sorted({done for _, done, _ in seen})
     few, more = (one.actions["none"] for one in ended)
     assert (len(few), len(more) % 20) == (20, 0)
     assert 40 <= len(more) < 200
