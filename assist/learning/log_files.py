@@ -13,7 +13,7 @@ import re
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from pathlib import Path, PurePath
+from pathlib import Path, PureWindowsPath
 from typing import Any
 from unicodedata import category
 
@@ -121,7 +121,8 @@ def in_tasks(rows: Sequence[Row], problems: Sequence[str], name: object, taken: 
         wanted = (
             f"expected lines of '{own}', as the instance is called, or of one task only, as log(task) of a team has"
         )
-        raise InputFileError(f"{name}: lines of several tasks ({shown}); {wanted}")
+        other = "a column `task` that means something else needs another name"
+        raise InputFileError(f"{name}: lines of several tasks ({shown}); {wanted}; {other}")
     elif len(tasks) > len(called):
         if not called:
             if any(tasks):
@@ -140,8 +141,11 @@ def _task(record: Mapping[str, Any]) -> str:
 
 
 def _is_called(task: str, problem: str) -> bool:
-    """Return whether a task's name is that of a problem's file: without ending, perhaps with its last folders."""
-    own, name = (PurePath(text.lower().removesuffix(".pddl")).parts for text in (problem, task))
+    """Return whether a task's name is that of a problem's file: without ending, perhaps with its last folders.
+
+    Folders are separated by either sign, whichever system wrote the log.
+    """
+    own, name = (PureWindowsPath(text.lower().removesuffix(".pddl")).parts for text in (problem, task))
     return bool(name) and own[-len(name) :] == name
 
 

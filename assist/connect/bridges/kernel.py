@@ -31,7 +31,7 @@ LOG = logging.getLogger(__name__)
 ABSENT = 404  # status of a report about nobody
 REMEMBERED = 1000  # numbers of a person whose ids are known, the latest
 STRANGERS = 100
-"""Number of senders that are remembered though all their reports were about nobody in the team."""
+"""Number of senders that are remembered though their last report was about nobody in the team."""
 MOST = 100_000
 """Largest number of contents that wait to be sent, besides those that are kept: some tens of megabytes."""
 
@@ -43,7 +43,7 @@ class _Sender:
         self.order = InOrder[Reported]()
         self.queue = asyncio.Queue[Reported]()
         self.answered = 0  # the highest number of an answered report
-        self.known = False  # whether a report was recorded
+        self.absent = False  # whether the last answer was that there is no such person
         self.ids = dict[int, str]()  # of the latest numbers
         self.timer: asyncio.TimerHandle | None = None
         self.task: asyncio.Task[None] | None = None
@@ -321,18 +321,17 @@ class Bridge:
             self._answer(answer, message)
             if report.number is None:
                 message.done()
-            if refused is None:
-                sender.known = True
-            elif getattr(refused, "status", None) == ABSENT:
+            sender.absent = getattr(refused, "status", None) == ABSENT
+            if sender.absent:
+                self._senders[person] = self._senders.pop(person, sender)  # as the latest
                 self._forget_strangers()
 
     def _forget_strangers(self) -> None:
         """Forget the senders of reports about nobody, but for the latest, whose numbers go on when they join."""
-        idle = [
-            name for name, one in self._senders.items() if not one.known and one.queue.empty() and not one.order.held
-        ]
-        for name in idle[:-STRANGERS]:
-            del self._senders[name]
+        strangers = [name for name, one in self._senders.items() if one.absent]
+        for name in strangers[:-STRANGERS]:
+            if self._senders[name].queue.empty() and not self._senders[name].order.held:
+                del self._senders[name]
 
     def _answer(self, answer: Answer, message: Reported | None = None) -> None:
         self.counts[answer.status] += 1

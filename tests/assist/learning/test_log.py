@@ -47,6 +47,8 @@ def test_of_several_tasks_only_the_lines_of_the_instance_are_read(tmp_path: Path
     seen = replayed(tiny, [*others, *own])
     assert seen.complete
     assert len(seen.recording) == len(PLAN)
+    windows = [row | {"task": r"kitting\tiny"} for row in own]
+    assert len(replayed(tiny, [*others, *windows]).recording) == len(PLAN)
     assert "only lines of the task kitting/tiny, without 1 others" in seen.log.note
     shown = invoke("fit", "kitting/tiny", str(write_log(tmp_path / "log.jsonl", [*others, *own])))
     assert shown.exit_code == 0
@@ -56,7 +58,9 @@ def test_of_several_tasks_only_the_lines_of_the_instance_are_read(tmp_path: Path
     assert "lines of the task 'desk' as those of 'tiny'" in alone.log.note
     assert not replayed(tiny, lines(*PLAN)).log.note
     unknown = [*others, *(row | {"task": "desk"} for row in lines(*PLAN))]
-    with pytest.raises(InputFileError, match=r"several tasks .order-2 1, desk .*expected lines of 'tiny'"):
+    with pytest.raises(
+        InputFileError, match=r"several tasks .order-2 1, desk .*expected lines of 'tiny'.*means something else"
+    ):
         replayed(tiny, unknown)
     with pytest.raises(InputFileError, match=r"several tasks .order-2, kitting/tiny. were read"):
         replayed(tiny, Log.of([*others, *own]))
