@@ -554,3 +554,9 @@ def test_intervals_follow_the_ridge_where_one_parameter_has_no_effect() -> None:
     for end in found[2]:
         near = [search.fitted((agreement, best[1], end))[1] for agreement in np.linspace(*found[0], 13)]
         assert search.fitted(best)[1] - max(near) == pytest.approx(1.92, abs=0.3)
+
+
+def test_models_that_predict_alike_differ_by_nothing_without_an_interval() -> None:
+    logs = {"one": np.array([-2.0, -3.0]), "other": np.array([-2.0, -3.0])}
+    found = Comparison.of(["ann", "ben"], np.array([2, 3]), logs, {"one": {}, "other": {}}, "one")["other"]
+    assert (found.difference, found.interval, found.p) == (0.0, None, 1.0)
