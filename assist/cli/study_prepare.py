@@ -98,6 +98,7 @@ def study_prepare(
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(("participant", "link"))
     writer.writerows((one, participant_url(access, one, data)) for one in ids)
+    note("from now on nobody joins without such a link; the one for everybody admits nobody any more")
 
 
 def _rounds(study: UserStudy) -> Iterator[Forecast]:

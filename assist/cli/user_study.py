@@ -79,6 +79,7 @@ def conduct(file: Path, data: Path | None, given: Given[Any], at: Listening, reh
         raise click.UsageError(f"--data {folder}: has a rehearsal; expected another folder for the study itself")
     if (deviates := changed(study, folder)) is not None:
         note(deviates)
+    note("preparing the study; its links follow")
     tasks = _tasks(study)
 
     def ready(service: StudyService) -> None:

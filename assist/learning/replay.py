@@ -185,14 +185,14 @@ def replay(
         episodes.setdefault(entry.names, []).append(entry)
     walks, faults = [], []
     for names in sorted(episodes, key=lambda names: [in_order(name) for name in names]):
-        acted = [entry for entry in episodes[names] if entry.action is not None or entry.executed is not None]
+        acted = [entry for entry in episodes[names] if _Event.of(entry, dropped, renamed)]
         rows = sorted(acted, key=lambda entry: (entry.step, entry.line))
         twice = next(((a, b) for a, b in pairwise(rows) if a.step == b.step), None)
         if twice is None:
             walks.append(_Walk([event for entry in rows for event in _Event.of(entry, dropped, renamed)]))
         else:
             first, second = twice
-            where = f"step {second.step} is on line {first.line} already"
+            where = f"its step, or time, is on line {first.line} already"
             faults.append(_at(second, f"{where}; are these two episodes, or two people?"))
     for number in range(max((len(walk.events) for walk in walks), default=0)):
         going = [walk for walk in walks if walk.fault is None and number < len(walk.events)]

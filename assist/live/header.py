@@ -135,7 +135,7 @@ def _without_folders(value: Any) -> Any:
 def _others(header: Mapping[str, Any], tasks: dict[str, str], files: dict[str, str | None]) -> str:
     """Return a message that names the session's tasks and the expected ones."""
     before, kept = header["tasks"], header.get("files") or {}
-    wrong = [name for name in tasks if before.get(name) != tasks[name]] or list(tasks)
+    wrong = [name for name in tasks if before.get(name) != tasks[name]]
     same = [name for name in wrong if name in before and kept.get(name, files.get(name)) == files.get(name)]
     if same:
         return f"the file of the task {same[0]} is another than when the session began"

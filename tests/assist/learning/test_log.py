@@ -143,8 +143,8 @@ MALFORMED: list[tuple[list[dict], int, str]] = [
     (lines(FETCH, "(place hamer slot-1 box-a)"), 8, LEFT_OUT + "step 1: (place hamer slot-1 box-a) is no action of "
      f"the task; nearest in spelling of the 3 applicable: {RIGHT}, {WRONG}, {BACK}"),
     (lines(FETCH, "(place hammer)"), 8, LEFT_OUT + f"step 1: (place hammer) may be any of {RIGHT}, {WRONG}"),
-    ([*lines(FETCH), *lines(FETCH)], 8, LEFT_OUT + "step 0 is on line 7 already; are these two episodes, or two "
-     "people?"),
+    ([*lines(FETCH), *lines(FETCH)], 8, LEFT_OUT + "its step, or time, is on line 7 already; are these two episodes, "
+     "or two people?"),
     (later(10), 9, LEFT_OUT + "step 10 comes after step 1, as if a line were missing; --set gaps=true (in Python "
      "gaps=True) if the log counts otherwise"),
     (later(2), 9, LEFT_OUT + "step 2: (fetch box-a) is not applicable here; nearest in spelling of the 2 applicable: "
@@ -231,6 +231,13 @@ def test_a_step_at_which_nothing_was_done(tmp_path: Path, tiny: Table, text: str
     log = read_log(file)
     assert (log.faults, replay(log, tiny)[1]) == ((), [])
     assert "line 13 and 11 more, without an action, as nothing done" in log.note
+
+
+def test_what_is_dropped_may_be_at_the_step_of_an_action(tiny: Table) -> None:
+    rows = lines(*PLAN)
+    pause = rows[-1] | {"action": "(pause)"}
+    seen = replayed(tiny, [*rows, pause], drop=["pause"])
+    assert (seen.faults, len(seen.recording)) == ((), len(PLAN))
 
 
 def test_a_line_that_lost_its_action_is_not_read_as_nothing_done(tmp_path: Path, tiny: Table) -> None:

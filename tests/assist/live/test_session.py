@@ -349,7 +349,7 @@ def test_whoever_waits_is_served_when_time_elapses(opened: Callable[..., Session
 
 
 def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
-    opened: Callable[..., Session], fixed: Table, tmp_path: Path
+    opened: Callable[..., Session], tiny: Table, fixed: Table, tmp_path: Path
 ) -> None:
     session = opened()
     file = tmp_path / "journal.sqlite"
@@ -360,6 +360,8 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
     before, other = r"the session there is of the task tiny \(\S+tiny\.pddl\)", r"paper-fixed\.pddl\)"
     with pytest.raises(InputFileError, match=rf"{before}, .*not other \(\S+{other}; expected the same, or another"):
         Session({"other": fixed}, file, setting=SETTING, population=EASY)
+    with pytest.raises(InputFileError, match=rf"{before}, fixed \(\S+{other}, not tiny \(\S+\); expected the same"):
+        Session({"tiny": tiny}, file, setting=SETTING, population=EASY)
     with pytest.raises(InputFileError, match=r"has setting c_suggest 0\.02, not 1\.0"):
         opened(setting=Setting())
     with pytest.raises(InputFileError, match=r"not 1\.0; setting c_move .*; setting trust paper, not constant; exp"):

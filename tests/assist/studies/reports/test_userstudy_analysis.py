@@ -802,7 +802,9 @@ def test_links_of_participants_are_signed_by_a_command(tmp_path: Path) -> None:
     ids.write_text("7\n\na&b\n=1\n")
     options = ("study-prepare", file, "--data", tmp_path / "data", "--links", ids)
     assert "expected --public-url URL as well" in invoke(*options).stderr
-    said = invoke(*options, "--public-url", "https://host.example/kits/").stdout
+    signed = invoke(*options, "--public-url", "https://host.example/kits/")
+    said = signed.stdout
+    assert "from now on nobody joins without such a link" in signed.stderr
     links = {row["participant"]: row["link"] for row in csv.DictReader(io.StringIO(said))}
     assert list(links) == ["7", "a&b", "=1"]
     assert links["a&b"].startswith("https://host.example/kits/study?participant=a%26b&signature=")
