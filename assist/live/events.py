@@ -102,7 +102,7 @@ class Left(OfPerson):
 
 
 class Began(OfPerson):
-    """A person who begins the next task, even if the present one is unfinished."""
+    """A person who begins the next task, even if the present one is unfinished; without `task` the same one again."""
 
     kind: Literal["began"] = "began"
     task: str | None = Field(default=None, max_length=200)

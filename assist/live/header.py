@@ -149,8 +149,9 @@ def _others(header: Mapping[str, Any], tasks: dict[str, str], files: dict[str, s
 def _shown(name: str, found: Any, expected: Any) -> Iterator[str]:
     """Yield a short description of each part that differs."""
     if isinstance(found, Mapping) and isinstance(expected, Mapping):
-        for part in {**expected, **found}:
-            if found.get(part) != expected.get(part):
+        parts = [part for part in {**expected, **found} if found.get(part) != expected.get(part)]
+        for part in parts:
+            if part != "parts" or len(parts) == 1:  # the parts of a population follow from its ranges
                 yield from _shown(f"{name} {part}", found.get(part), expected.get(part))
     else:
         yield f"{name} {str(found)[:60]}, not {str(expected)[:60]}"

@@ -362,6 +362,8 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
         Session({"other": fixed}, file, setting=SETTING, population=EASY)
     with pytest.raises(InputFileError, match=rf"{before}, fixed \(\S+{other}, not tiny \(\S+\); expected the same"):
         Session({"tiny": tiny}, file, setting=SETTING, population=EASY)
+    with pytest.raises(InputFileError, match=r"has population beta \S+ \S+, not \[0\.1, 9\.0\]; expected the same"):
+        opened(population=replace(EASY, beta=(0.1, 9.0)))
     with pytest.raises(InputFileError, match=r"has setting c_suggest 0\.02, not 1\.0"):
         opened(setting=Setting())
     with pytest.raises(InputFileError, match=r"not 1\.0; setting c_move .*; setting trust paper, not constant; exp"):
