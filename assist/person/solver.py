@@ -39,6 +39,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.system.files import finite
 from planner.system.progress import Wanted, shows_progress
 from planner.system.results import Result
 
@@ -150,14 +151,18 @@ class Solution(Result, Policy):
 
     @property
     def gap(self) -> float:
-        """The relative gap (upper - lower) / abs(lower)."""
+        """The relative gap (upper - lower) / abs(lower); infinity if only the lower bound is 0."""
         return relative_gap(self.lower, self.upper)
 
     @property
     def suggests(self) -> bool:
-        """Whether a suggestion is worth its cost, or may be, as the search was stopped before this was known."""
+        """Whether a suggestion is worth its cost, or may be.
+
+        The latter is where the search was stopped before this was known, and where the task is truncated.
+        """
         alone = self.value_never + 1e-3  # more than rounding errors, in cost units
-        return self.lower > alone or (self.stopped in ("time", "memory") and self.upper > alone)
+        unknown = self.stopped in ("time", "memory") or self.pomdp.frontier is not None
+        return self.lower > alone or (unknown and self.upper > alone)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the size of the problem, its bounds and the effort, as plain data."""
@@ -166,7 +171,7 @@ class Solution(Result, Policy):
             "hidden": self.pomdp.prior.size,
             "lower": self.lower,
             "upper": self.upper,
-            "gap": self.gap,
+            "gap": finite(self.gap),
             "value_qmdp": self.value_qmdp,
             "value_never": self.value_never,
             "value_always": self.value_always,

@@ -37,9 +37,8 @@ def show_bounds(record: dict[str, Any]) -> None:
     ended = ENDED[record["stopped"]]
     if record["stopped"] == "stalled" and record["frontier"]:
         ended = "; limited by the bounds of frontier states"
-    click.echo(
-        f"gap {100 * record['gap']:.3g} %, {record['alpha_vectors']:,} alpha vectors, {record['seconds']:.1f} s{ended}"
-    )
+    gap = "-" if record["gap"] is None else f"{100 * record['gap']:.3g} %"
+    click.echo(f"gap {gap}, {record['alpha_vectors']:,} alpha vectors, {record['seconds']:.1f} s{ended}")
 
 
 def show_samples(found: TeamBound, *, err: bool = False) -> None:

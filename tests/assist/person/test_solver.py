@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import time
 from types import SimpleNamespace
 
@@ -347,3 +348,4 @@ def test_a_problem_whose_value_is_0_has_bounds(theta: tuple[float, float]) -> No
     found = solve(free, gap=1e-6)
     assert found.stopped == "gap"
     assert found.lower <= 0.0 <= found.upper == pytest.approx(0.0, abs=1e-9)
+    json.dumps(found.as_dict(), allow_nan=False)
