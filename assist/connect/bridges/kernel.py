@@ -280,6 +280,7 @@ class Bridge:
         sender = self._senders[person]
         for message in messages:
             sender.queue.put_nowait(message)
+            sender.absent = False  # until this one is answered
             if message.report.number is not None:
                 sender.ids[message.report.number] = message.report.id
                 if len(sender.ids) > REMEMBERED:

@@ -216,6 +216,34 @@ def test_messages_about_nobody_cost_no_memory(tmp_path: Path) -> None:
     served(tmp_path, work)
 
 
+def test_a_sender_whose_report_is_under_way_is_not_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their first report came before they joined; while strangers report, the second one meets a busy service."""
+
+    async def work(here: Here, queues: Queues, bridge: Bridge) -> None:
+        report, gate = here.service.report, asyncio.Event()
+
+        async def slow_for_eve(event: Any) -> Any:
+            if event.person == "eve":
+                await gate.wait()
+            return await report(event)
+
+        await until(lambda: bridge.connected)
+        queues.inbox.put_nowait(act("eve", "(fetch box-a)", "1", 1))
+        await until(lambda: bridge.counts["refused"] == 1)
+        await report(Joined(person="eve"))
+        monkeypatch.setattr(here.service, "report", slow_for_eve)
+        queues.inbox.put_nowait(act("eve", "(fetch box-a)", "2", 2))
+        for number in range(2 * STRANGERS):
+            queues.inbox.put_nowait(act(f"stranger-{number}", "(fetch box-a)", "1", 1))
+        await until(lambda: bridge.counts["refused"] == 1 + 2 * STRANGERS)
+        gate.set()
+        queues.inbox.put_nowait(act("eve", "(return box-a)", "3", 3))
+        await until(lambda: bridge.counts["recorded"] == 2)
+        assert bridge.waits == []
+
+    served(tmp_path, work)
+
+
 def test_an_instruction_that_the_stream_told_is_not_replaced_by_an_older_answer() -> None:
     """The drive to a new person was cancelled, and the robot was not sent again."""
 
