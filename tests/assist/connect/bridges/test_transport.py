@@ -236,10 +236,11 @@ def test_a_sender_whose_report_is_under_way_is_not_forgotten(tmp_path: Path, mon
         for number in range(2 * STRANGERS):
             queues.inbox.put_nowait(act(f"stranger-{number}", "(fetch box-a)", "1", 1))
         await until(lambda: bridge.counts["refused"] == 1 + 2 * STRANGERS)
-        gate.set()
         queues.inbox.put_nowait(act("eve", "(return box-a)", "3", 3))
+        await until(lambda: bridge.counts["messages"] == 3 + 2 * STRANGERS)
+        assert bridge.waits == []  # the third one does not wait for the first
+        gate.set()
         await until(lambda: bridge.counts["recorded"] == 2)
-        assert bridge.waits == []
 
     served(tmp_path, work)
 
