@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING
@@ -94,11 +95,15 @@ def bound(
         })  # fmt: skip
         return
     print_table(("policy", "value", "upper bound", "gap at most"), map(_cells, certificates))
+    if math.isinf(found.slack):
+        rest = "how much of the gap is due to unfinished solutions is not known; a longer --time-limit may tell"
+    else:
+        rest = "solving each person's problem exactly would lower the gap by at most "
+        rest += f"{best.slack_percent:.2f} percentage points"
     fewer = "" if best.episodes >= value_episodes else f" of {value_episodes}, as the time was up,"
     click.echo(
         f"mean ± standard error over {best.episodes} episodes{fewer} with people drawn from the robot's prior, so that "
-        f"values differ from those of `simulate`; gaps in percent of the value; solving each person's problem exactly "
-        f"would lower the gap by at most {best.slack_percent:.2f} percentage points"
+        f"values differ from those of `simulate`; gaps in percent of the value; {rest}"
     )
     for c in certificates:
         if c.above:

@@ -52,7 +52,8 @@ written_options = together(
         out_option("one record per episode (JSON Lines)"),
         click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines)."),
         click.option(
-            "--figure", type=OUTPUT_FILE, help="Plot an episode that the last policy shortened (.png, .svg)."
+            "--figure", type=OUTPUT_FILE,
+            help="Plot an episode that the last policy shortened (.png, .svg); Python's compare() plots all.",
         ),
     ),
 )  # fmt: skip
