@@ -4,14 +4,15 @@ The goals are those of problem files that differ in nothing else. One forward se
 search for each goal computes the cost-to-go. The translator may order variables by the goal, so that goals are
 translated by the meaning of their facts. Of a goal with disjunctions or quantifiers it makes a derived variable, which
 nothing else reads: the states are then enumerated with the derived variables of all goals. For a negation it divides
-variables, so that the files are grounded anew, with a derived predicate as the goal. If a goal changes more than that,
-as comparisons of numbers do, or if operators read derived variables, a task is swept by itself, and its table numbers
-the states in its own way.
+variables, so that the files are grounded anew, with a derived predicate as the goal. A task is swept by itself,
+and its table numbers the states in its own way, if its goal changes more than that, as one that compares a number of
+which only some values are told apart, or if its goal or operators read derived predicates of the domain.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 
 Meaning = tuple[frozenset[str], str]
 """A fact of a variable, with the meanings of all values of that variable."""
+
+Grounding = frozenset[tuple[object, ...]]
+"""The variables and operators of a task by their meanings."""
 
 
 @shows_progress
@@ -74,12 +78,14 @@ def sweep_goals(
     threads = threads or processors()
     for task in loaded:
         require_sweepable(task)
-    alike = _alike(loaded)
-    if len(alike) > 1 and all(task.instance.problem.is_file() for task in loaded):
-        seconds = None if deadline.at == math.inf else max(0.01, deadline.at - time.monotonic())
-        limits = Limits(seconds)
-        derived = [_with_derived_goal(task, limits) for task in loaded]
-        if len(groups := _alike(derived)) < len(alike):
+    groundings = [_grounded(task) for task in loaded]
+    alike = _alike(groundings)
+    if len({*groundings} - {None}) > 1 and all(task.instance.problem.is_file() for task in loaded):
+        derived = [
+            task if grounding is None else _with_derived_goal(task, deadline)
+            for task, grounding in zip(loaded, groundings, strict=True)
+        ]
+        if len(groups := _alike([_grounded(task) for task in derived])) < len(alike):
             loaded, alike = derived, groups
     tables: dict[int, Table] = {}
     for places in alike:
@@ -95,23 +101,28 @@ def sweep_goals(
     return [tables[place] for place in range(len(loaded))]
 
 
-def _alike(tasks: Sequence[Task]) -> list[list[int]]:
-    """Return the places of tasks with the same grounding, apart from derived variables that no operator reads."""
+def _alike(groundings: Sequence[Grounding | None]) -> list[list[int]]:
+    """Return the places of equal groundings; None is equal to no other."""
     found: dict[object, list[int]] = {}
-    for place, task in enumerate(tasks):
-        found.setdefault(_grounded(task) or place, []).append(place)
+    for place, grounding in enumerate(groundings):
+        found.setdefault(place if grounding is None else grounding, []).append(place)
     return list(found.values())
 
 
-def _with_derived_goal(task: Task, limits: Limits) -> Task:
+def _with_derived_goal(task: Task, deadline: Deadline) -> Task:
     """Return the task of the same files whose goal is a derived predicate; the task itself if there is none.
 
     There is none either if the task is not that of its files, as one with another goal that was made in Python.
     """
+
+    def limits() -> Limits:
+        deadline.check("grounding some of the goals")
+        return Limits(None if deadline.at == math.inf else max(0.01, deadline.at - time.monotonic()))
+
     try:
         reading = read(task.instance)
-        same = grounded(reading, limits)[1].sas == task.sas
-        found = grounded(with_derived_goal(reading), limits)[1] if same else task
+        same = grounded(reading, limits())[1].sas == task.sas
+        found = grounded(with_derived_goal(reading), limits())[1] if same else task
     except PDDLError:
         return task
     return task if found.decided_by_translator or found.beyond else replace(found, note=task.note)
@@ -201,13 +212,16 @@ def _joined(tasks: Sequence[Task]) -> list[Task]:
     ]
 
 
-def _grounded(task: Task) -> frozenset[tuple[object, ...]] | None:
+def _grounded(task: Task) -> Grounding | None:
     """Return the variables and operators of a task by their meanings, whatever their order, without what is derived.
 
-    None if operators read derived variables.
+    None if operators read derived variables, or if some are of derived predicates of the domain: each goal would have
+    its own copy of them.
     """
     every = [frozenset(variable.facts) for variable in task.variables]
     derived = {number for number, variable in enumerate(task.variables) if variable.axiom_layer >= 0}
+    if any(re.match(r"(Negated)?Atom (?!new-axiom@)", fact) for number in derived for fact in every[number]):
+        return None
     for one in task.operators:
         read = {variable for variable, _ in one.preconditions}
         read.update(variable for effect in one.effects for variable, _ in effect.conditions)

@@ -229,7 +229,7 @@ def _costs(scope: Scope, costed: Costed) -> tuple[tuple[str, ...], dict[tuple[st
     for object_, number in priced.items():
         if number < 0 and scope.may_be((sums.variable,), [(object_,)]):
             refuse(scope.encoder.file, schema.place, f"action '{schema.name}' may cost {as_shown(number)}; expected a "
-                   "condition that excludes costs below 0")  # fmt: skip
+                   "comparison among its conditions, outside of 'or', that excludes costs below 0")  # fmt: skip
     if schema.duration is not None and not scope.statics.is_static(schema.duration):
         scope.compare(listed(word(">="), schema.duration, word("0")))
     return (sums.variable,), {(name,): number for name, number in priced.items() if number >= 0}

@@ -24,12 +24,14 @@ from planner import (
     sweep_goals,
     verify,
 )
-from planner.costtogo import verification
+from planner.costtogo import goal_tables, verification
 from planner.costtogo.cost_to_go import optimal_choices
 from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
 from planner.grounding.semantics import plan_cost
 from planner.grounding.translation import from_sas
+from planner.pddl.compilation import Compilation
+from planner.pddl.reader import Reading
 from planner.search.state_space import UNREACHED, compact, smallest_type
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
@@ -308,6 +310,53 @@ def test_goals_of_any_form_have_tables_on_one_enumeration(
     for task, table in zip(tasks, tables, strict=True):
         assert costs_by_facts(table) == costs_by_facts(sweep(task))
         assert verify(table, 5, np.random.default_rng(0)) == 5
+
+
+LAMPS = """(define (domain d) (:requirements :adl :derived-predicates)
+  (:predicates (on ?x) (next ?x ?y) (lit ?x) (two) (seen))
+  (:derived (lit ?x) (or (on ?x) (exists (?y) (and (next ?y ?x) (lit ?y)))))
+  (:derived (two) (exists (?x ?y) (and (lit ?x) (lit ?y) (not (= ?x ?y)))))
+  (:action flip :parameters (?x) :precondition (not (on ?x)) :effect (on ?x))
+  (:action off :parameters (?x) :precondition LIT :effect (not (on ?x))))"""
+ROW = "(define (problem p) (:domain d) (:objects a b c) (:init (next a b) (next b c)) (:goal {}))"
+OF_LAMPS = ["(lit c)", "(two)", "(on a)", "(and (on b) (not (on c)))", "(or (on a) (on c))"]
+
+
+@pytest.mark.parametrize(("off", "shared"), [("(on ?x)", 3), ("(lit ?x)", 0)], ids=["goals", "operators"])
+def test_goals_with_derived_predicates_have_the_tables_and_facts_of_a_sweep_alone(
+    off: str, shared: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The others share an enumeration. Only these are grounded anew, each once to compare and once with its rule."""
+    tasks = []
+    for number, goal in enumerate(OF_LAMPS):
+        (tmp_path / str(number)).mkdir()
+        tasks.append(load(write_instance(tmp_path / str(number), LAMPS.replace("LIT", off), ROW.format(goal))))
+    made, ground = [], goal_tables.grounded
+    monkeypatch.setattr(goal_tables, "grounded", lambda *of: made.append(of) or ground(*of))
+    tables = sweep_goals(tasks)
+    assert len({id(table.space.numbering) for table in tables}) == len(tasks) - max(0, shared - 1)
+    for task, table in zip(tasks, tables, strict=True):
+        assert costs_by_facts(table) == costs_by_facts(sweep(task))
+    assert len(made) <= 2 * shared
+
+
+def test_the_time_limit_holds_for_all_groundings_of_goals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks = []
+    for number, goal in enumerate(OF_BOXES):
+        (tmp_path / str(number)).mkdir()
+        tasks.append(load(write_instance(tmp_path / str(number), MOVES, BOXES.format(goal))))
+    clock, given, ground = [0.0], [], goal_tables.grounded
+
+    def slow(reading: Reading, limits: Limits) -> tuple[Compilation, Task]:
+        given.append(limits.seconds)
+        clock[0] += 30
+        return ground(reading)
+
+    monkeypatch.setattr(goal_tables, "grounded", slow)
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    with pytest.raises(LimitError, match="out of time after grounding some of the goals"):
+        sweep_goals(tasks, time_limit=100)
+    assert given == [100, 70, 40, 10]
 
 
 def test_a_goal_that_was_made_in_python_is_not_read_from_its_file(tmp_path: Path) -> None:

@@ -265,7 +265,7 @@ def test_assignments_that_differ_are_refused(tmp_path: Path, other: str) -> None
 def test_a_negative_cost_that_no_condition_excludes_is_refused(tmp_path: Path) -> None:
     (tmp_path / "domain.pddl").write_text(f"(define (domain d)\n{WORKED.format('(>= (n) 1)', '(- (n) 2)')})")
     (tmp_path / "p.pddl").write_text(f"(define (problem p) (:domain d)\n{PAY.format(1)})")
-    with pytest.raises(PDDLError, match=r"domain.pddl:2: action 'work' may cost -1; expected a condition that"):
+    with pytest.raises(PDDLError, match=r"domain.pddl:2: action 'work' may cost -1; expected a comparison among its"):
         load(tmp_path / "p.pddl")
 
 
