@@ -93,7 +93,7 @@ def bounds(settings: int, instance: str, record: Path | None) -> None:
         )  # fmt: skip
         population = Population(theta=(low, min(1.0, low + float(rng.uniform(0.1, 0.4)))))
         pool = Pool.sample(task, people, seed=number, setting=setting, population=population)
-        bound = upper_bound(pool, time_limit=0.4, jobs=1)
+        bound = upper_bound(pool, time_limit=2.0, jobs=1)
         found = [bound.certify(policy, episodes=512, seed=number) for policy in POLICIES]
         best = max(found, key=lambda one: one.value)
         alone = upper_bound(pool.under(replace(setting, neighbours=None)), time_limit=0.1, jobs=1).upper_seen
