@@ -145,15 +145,14 @@ GROWS, FALLS, SHRINKS, VARIES = (
 
 def _way(change: GroundChange, begin: Value) -> str | None:
     """Return how a change leads to ever more values of a fluent that begins with a value; None if it does not."""
-    if change.grows:
-        amount = literal_number(change.amount)
-        return VARIES if amount is None else GROWS if amount > 0 else FALLS if amount < 0 else None
-    if literal_number(change.amount) is not None:
-        return None
+    amount = literal_number(change.amount)
+    if amount is not None:
+        return (GROWS if amount > 0 else FALLS if amount < 0 else None) if change.grows else None
     split = linear(change.amount, lambda each: not terms_of(each))
     if split is None or list(split[0]) != [f"({' '.join(change.fluent)})"] or begin is None or begin < 0:
         return VARIES
     ((_, factor),), more = split[0].values(), literal_number(split[1])
+    factor += change.grows  # by its own multiple: n + (n + 1)
     if more is not None and factor >= 1 and more >= 0 and (more > 0 or (factor > 1 and begin > 0)):
         return GROWS
     return SHRINKS if more == 0 and 0 < factor < 1 and begin > 0 else VARIES

@@ -196,7 +196,7 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
         for part in ("beta=[1, 2]", "theta=[0.5, 0.6]"):
             both = invoke(command, TINY, *team, "--population", file, "--set", f"population.{part}")
             assert (both.exit_code, both.stdout) == (2, "")
-            assert "population is set as a whole already; expected one of them" in both.stderr
+            assert f"--set population.{part.partition('=')[0]}: it is set twice; expected one value" in both.stderr
     file.write_text('["no population"]')
     assert invoke("bound", TINY, "--humans", 2, "--population", file).exit_code == 2
 

@@ -58,7 +58,7 @@ def test_connections_that_bring_nothing_keep_no_participant_out_and_fill_no_log(
                 if line.startswith("data") and '"instructions"' in line:
                     break
         code, said = study.end()
-    assert (code, said.count("\n")) == (0, 1), said[:2000]
+    assert (code, said.count("\n")) == (0, 2), said[:2000]  # what it does, and where it is saved
 
 
 async def answers(scope: Scope, receive: Receive, send: Send) -> None:
