@@ -82,8 +82,9 @@ def test_a_walk_with_memory_is_a_walk_of_the_task(drawn: list[tuple[int, int, in
     odd = {"odd": lambda s: (s.actions % 2) * (s.last[:, None] % 3) + 0.5 * s.previous[:, None]}
     choices = remembered(table, {**TERMS, **odd})
     row, x, last, previous = choices.initial, plain.initial, NOTHING_YET, NOTHING_YET
+    states = choices.of_task(np.arange(choices.task_states))
     for _ in range(25):
-        assert choices.task_state(row) == x
+        assert states[row] == x
         for name in ("h", "goal", "applicable", "actions", "costs", "optimal"):
             np.testing.assert_array_equal(getattr(choices, name)[row], getattr(plain, name)[x])
         if plain.goal[x]:
@@ -93,7 +94,7 @@ def test_a_walk_with_memory_is_a_walk_of_the_task(drawn: list[tuple[int, int, in
         np.testing.assert_array_equal(choices.features[row], expected)
         slot = int(rng.choice(np.flatnonzero(plain.applicable[x])))
         row, x, last, previous = choices.targets[row, slot], plain.targets[x, slot], plain.actions[x, slot], x
-    rows = [(choices.task_state(r), choices.features[r].tobytes()) for r in range(len(choices))]
+    rows = [(int(states[r]), choices.features[r].tobytes()) for r in range(len(choices))]
     assert len(set(rows)) == len(rows)
     assert {x for x, _ in rows} == set(range(len(plain)))
 
@@ -448,7 +449,7 @@ def test_people_of_a_file_are_used_by_the_commands(tmp_path: Path) -> None:
         (("--set", f"population.chooses={own}:broken"), f"{own}:12: IndexError"),
         (("--set", f"population.chooses={own}:absent"), "has no function 'absent'"),
         (("--set", "population.chooses=absent"), "expected FILE.py:FUNCTION"),
-        (("--set", f"population.chooses={own}:hasty", "--population", tmp_path / "plain.json"), "expected one of them"),
+        (("--set", f"population.chooses={own}:hasty", "--population", tmp_path / "plain.json"), "expected one value"),
         (("--set", f"prior={own}"), f"--set prior: {own}"),
     ):
         result = invoke(*team, *options)
