@@ -96,7 +96,7 @@ def bound(
         return
     print_table(("policy", "value", "upper bound", "gap at most"), map(_cells, certificates))
     if math.isinf(found.slack):
-        rest = "how much of the gap is due to unfinished solutions is not known; a longer --time-limit may tell"
+        rest = "with neighbours, it is not known how much an exact solution would lower the gap"
     else:
         rest = "solving each person's problem exactly would lower the gap by at most "
         rest += f"{best.slack_percent:.2f} percentage points"

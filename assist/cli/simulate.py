@@ -53,7 +53,7 @@ written_options = together(
         click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines)."),
         click.option(
             "--figure", type=OUTPUT_FILE,
-            help="Plot an episode that the last policy shortened (.png, .svg); Python's compare() plots all.",
+            help="Plot an episode that the last policy shortened (.png, .svg); Python's compare() plots all policies.",
         ),
     ),
 )  # fmt: skip
