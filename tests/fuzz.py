@@ -55,7 +55,7 @@ class Figures:
 def here(
     work: Callable[..., Any], items: Sequence[Any], arguments: Sequence[Any] = (), hear: Any = None, **_: Any
 ) -> Iterator[Any]:
-    """`planner.system.workers.outcomes` in this process."""
+    """`planner.system.processes.outcomes` in this process."""
     if hear is not None:
         arguments = (*arguments, lambda *_: None)
     for item in items:

@@ -18,7 +18,7 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": "errors arrays results files limits processes threads signs progress compiling jit workers",
+    "planner.system": "errors arrays results files limits threads signs progress processes compiling jit",
     "planner.pddl": """instances instance_finder declarations numeric_expressions formulas reader conditions
         compilation recursion timed_schemas durative static_facts metric numeric_schemas value_sets saturation
         value_ranges value_encoder value_scope numeric_encoding numeric_compiler writer validation plan_execution

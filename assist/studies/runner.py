@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 from planner.system.errors import InputFileError, require_package
 from planner.system.files import ResumableFolder, each_record, held, read_records, write_text
 from planner.system.limits import Deadline, LimitError
+from planner.system.processes import outcomes
 from planner.system.progress import Wanted, adding, shows_progress
-from planner.system.workers import outcomes
 
 from .cells import Outcome, carry_out
 from .protocol import study_of

@@ -6,28 +6,25 @@ resumed. The records do not depend on where they were computed.
 
 from __future__ import annotations
 
-import json
-import tempfile
-import threading
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..pddl.instances import Instance
 from ..system.files import held
 from ..system.limits import available_memory, processors
-from ..system.progress import Progress
-from ..system.workers import outcomes
+from ..system.processes import outcomes
 from .results_folder import Key, Results, SolveOptions, SolveRecord, key, unfinished, unsolved
 from .solve_instance import solve_instance
 
 NEW_RECORD = "record"
-"""Report of a worker that it has written a new intermediate record."""
+"""Stage that a worker reports with an intermediate record, and whether its table and plan are saved."""
 
-Work = tuple[Instance, Path | None, Path | None]
-"""An instance, the path of its table and plan, and the file for its intermediate records."""
+Work = tuple[Instance, Path | None]
+"""An instance, and the path of its table and plan."""
 
 
 def solve_batch(
@@ -51,9 +48,9 @@ def solve_batch(
     Dask `scheduler` at an address can solve the instances. They must see the same files at the same paths, and run one
     thread each.
 
-    `progress` is called with each final record. In other threads, `stages` is called with an instance and the
-    arguments of `progress` in `solve_instance`, and `tell` with each new intermediate record of an unfinished
-    instance. If the run is interrupted, `tell` is called with the latest record of each. A cluster reports none.
+    `progress` is called with each final record, `stages` with an instance and the arguments of `progress` in
+    `solve_instance`, and `tell` with each new intermediate record of an unfinished instance. If the run is interrupted,
+    `tell` is called with the latest record of each. A cluster reports none.
     """
     grace = 10.0  # seconds that a worker may take to stop after its time limit, before it is killed
     options = options or SolveOptions()
@@ -70,23 +67,15 @@ def solve_batch(
         jobs = min(jobs, len(todo))
         timeout = None if options.time_limit is None else options.time_limit + grace
         shared = options if scheduler is not None else _shared(options, jobs)
-        with tempfile.TemporaryDirectory(prefix="kitassist-") as folder, ExitStack() as at_the_end:
-            ongoing = _Ongoing(Path(folder), records, results, tell)
-            work: list[Work] = [
-                (
-                    one,
-                    None if results is None else results.place(one),
-                    None if scheduler is not None else ongoing.file(one),
-                )
-                for one in todo
-            ]
+        with ExitStack() as at_the_end:
+            ongoing = _Ongoing(records, results, tell)
+            work: list[Work] = [(one, None if results is None else results.place(one)) for one in todo]
 
-            def hear(item: Work, what: str, *stage: Any) -> None:
+            def hear(item: Work, what: str, *told: Any) -> None:
                 if what == NEW_RECORD:
-                    with suppress(OSError):  # a lasting fault is reported with the final record
-                        ongoing.hear(item[0])
+                    ongoing.hear(item[0], *told)
                 elif stages is not None:
-                    stages(item[0], what, *stage)
+                    stages(item[0], what, *told)
 
             if results is not None and scheduler is None:
                 at_the_end.callback(results.remove_unfinished)  # of workers that were stopped
@@ -96,8 +85,7 @@ def solve_batch(
                 _collect(coming, ongoing, options, progress)
             except BaseException:
                 for instance in todo:
-                    with suppress(OSError):
-                        ongoing.hear(instance)
+                    ongoing.store(instance)
                 raise
         if results is not None:
             results.finish(instances)
@@ -114,68 +102,48 @@ def _shared(options: SolveOptions, jobs: int) -> SolveOptions:
     return replace(options, memory_limit=limit, threads=options.threads or threads)
 
 
-def _solve(work: Work, options: SolveOptions, progress: Progress) -> SolveRecord:
-    instance, place, file = work
-    heard: bool | None = None
-
-    def tell(record: SolveRecord, saved: bool) -> None:
-        nonlocal heard
-        if file is not None:
-            part = file.with_suffix(".part")
-            part.write_text(json.dumps([record, saved]), encoding="utf-8")
-            part.replace(file)
-            if saved != heard:  # otherwise only the number of compared states has changed
-                progress(NEW_RECORD, 0, None)
-            heard = saved
-
-    return solve_instance(instance, options, place, progress=progress, tell=tell)
+def _solve(work: Work, options: SolveOptions, report: Callable[..., None]) -> SolveRecord:
+    return solve_instance(work[0], options, work[1], progress=report, tell=partial(report, NEW_RECORD))
 
 
 class _Ongoing:
-    """Intermediate records of unfinished instances, which each worker writes to a file."""
+    """Intermediate records of unfinished instances, as their workers report them."""
 
     def __init__(
         self,
-        folder: Path,
         records: dict[Key, SolveRecord],
         results: Results | None,
         tell: Callable[[SolveRecord], None] | None,
     ) -> None:
-        self._folder, self._records, self._results, self._tell = folder, records, results, tell
-        self._files: dict[Key, Path] = {}
-        self._heard: dict[Key, SolveRecord] = {}
-        self._lock = threading.Lock()  # one thread receives reports, another final records
+        self._records, self._results, self._tell = records, results, tell
+        self.latest: dict[Key, tuple[SolveRecord, bool]] = {}
+        """The latest intermediate record of each instance, and whether table and plan are saved."""
+        self._stored: dict[Key, SolveRecord] = {}
 
-    def file(self, instance: Instance) -> Path:
-        """Return the file for an instance's intermediate records."""
-        return self._files.setdefault(key(instance), self._folder / f"{len(self._files)}.json")
+    def hear(self, instance: Instance, record: SolveRecord, saved: bool) -> None:
+        """Store an intermediate record, unless only the number of compared states has changed, and report it."""
+        before = self.latest.get(key(instance))
+        self.latest[key(instance)] = record, saved
+        if before is None or saved != before[1]:
+            self.store(instance)
 
-    def latest(self, instance: Instance) -> tuple[SolveRecord, bool] | None:
-        """Return the latest intermediate record, and whether table and plan are saved; None if there is no record."""
-        try:
-            record, saved = json.loads(self.file(instance).read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            return None
-        return record, saved
-
-    def hear(self, instance: Instance) -> None:
-        """Store the latest intermediate record of an instance, and report it."""
-        with self._lock:
-            latest = self.latest(instance)
-            if latest is None or key(instance) in self._records or latest[0] == self._heard.get(key(instance)):
-                return
+    def store(self, instance: Instance) -> None:
+        """Store the latest intermediate record of an instance if there is a new one, and report it."""
+        record, saved = self.latest.get(key(instance), (None, False))
+        if record is None or key(instance) in self._records or record == self._stored.get(key(instance)):
+            return
+        with suppress(OSError):  # a lasting fault is reported with the final record
             if self._results is not None:
-                self._results.add(latest[0], lasting=latest[1])
-        if self._tell is not None:
-            self._tell(latest[0])
-        self._heard[key(instance)] = latest[0]  # last: if Ctrl-C comes before, the record is reported once more
+                self._results.add(record, lasting=saved)
+            if self._tell is not None:
+                self._tell(record)
+            self._stored[key(instance)] = record  # last: if Ctrl-C comes before, the record is reported once more
 
     def end(self, instance: Instance, record: SolveRecord) -> None:
         """Store the final record of an instance."""
-        with self._lock:
-            self._records[key(instance)] = record
-            if self._results is not None:
-                self._results.add(record)
+        self._records[key(instance)] = record
+        if self._results is not None:
+            self._results.add(record)
 
 
 def _collect(
@@ -185,9 +153,9 @@ def _collect(
     progress: Callable[[SolveRecord], None] | None,
 ) -> None:
     """Store the final record of each instance, and report it."""
-    for (instance, *_), outcome in coming:
+    for (instance, _), outcome in coming:
         if isinstance(outcome, Exception):
-            outcome = _ended(instance, outcome, options, ongoing.latest(instance))
+            outcome = _ended(instance, outcome, options, ongoing.latest.get(key(instance)))
         ongoing.end(instance, outcome)
         if progress is not None:
             progress(outcome)

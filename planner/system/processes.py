@@ -1,21 +1,39 @@
-"""Child processes that never outlive the process that started them, even if it is killed or crashes.
+"""Child processes that never outlive the process that started them, and the same work on many items in such processes.
 
 Each process that starts children has a guard: a shell that reads from a pipe. The other end of the pipe is open in that
-process only. When the process ends, the system closes the pipe, and the guard kills its own process group. A child
-joins this group before its program begins. There is thus no moment at which it could be missed: if the guard has
-already ended, its group is gone, and nothing can be started in it. A parent-death signal works on Linux only, and it
-leaves such a moment. It is also sent when the *thread* that started the child ends.
+process only. When the process ends, even if it is killed or crashes, the system closes the pipe, and the guard kills
+its own process group. A child joins this group before its program begins. There is thus no moment at which it could be
+missed: if the guard has already ended, its group is gone, and nothing can be started in it. A parent-death signal works
+on Linux only, and it leaves such a moment. It is also sent when the *thread* that started the child ends.
+
+`outcomes` distributes work on many items, among processes of this machine or on a cluster, and yields results in the
+order of completion. Each worker has one pipe, on which its progress comes before the result that it leads to.
 """
 
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from math import inf
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from .errors import MissingExtraError
+from .progress import UNSHOWN
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 _lock = threading.Lock()
 _guard: tuple[int, int] | None = None
@@ -108,3 +126,235 @@ def _start_guard() -> tuple[int, int]:
     finally:
         os.close(reading)
     return guard, writing
+
+
+def outcomes(
+    work: Callable[..., Result],
+    items: Sequence[Item],
+    arguments: Sequence[Any] = (),
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    timeout: float | None = None,
+    hear: Callable[..., None] | None = None,
+) -> Generator[tuple[Item, Result | Exception]]:
+    """Yield each item with `work(item, *arguments)`, or with the exception that was raised.
+
+    The work is a module-level function, so that other processes can import it; items and arguments are picklable.
+    It is done by `jobs` processes of this machine, each a new interpreter, or by the workers of a Dask `scheduler`
+    at an address. Workers of a cluster must see the same files at the same paths, and run one thread each. After
+    `timeout` seconds, a process of this machine is stopped, and its item is yielded with a `TimeoutError`. With
+    `jobs=0`, a fork of this process does the work: it starts at once, and this process survives it. Where a fork is
+    not safe, since this process has other threads or compiled code, this process does the work itself, without a
+    timeout.
+
+    `hear` is called with an item and the values that its work reports, while the next outcome is waited for. The work
+    then receives a function that reports picklable values as an additional last argument; what it has reported is heard
+    even if its process dies. Workers of a cluster do not report.
+    """
+    if scheduler is not None:
+        return _on_cluster(work, items, arguments if hear is None else (*arguments, _unheard), scheduler)
+    if jobs == 0 and not _may_fork():
+        return _here(work, items, arguments, hear)
+    return _in_processes(work, items, arguments, jobs, timeout, hear)
+
+
+def _unheard(*_: Any) -> None:
+    """Report nothing."""
+
+
+def _here(
+    work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], hear: Callable[..., None] | None
+) -> Generator[tuple[Item, Result | Exception]]:
+    for item in items:
+        outcome: Any
+        try:
+            outcome = work(item, *arguments, *([] if hear is None else [partial(hear, item)]))
+        except Exception as error:  # noqa: BLE001  as in a worker
+            outcome = error
+        yield item, outcome
+
+
+def _may_fork() -> bool:
+    """Whether a fork of this process can do any work: a fork has no other threads, nor those of compiled code."""
+    return sys.platform == "linux" and threading.active_count() == 1 and "numba" not in sys.modules
+
+
+def _in_processes(
+    work: Callable[..., Result],
+    items: Sequence[Item],
+    arguments: Sequence[Any],
+    jobs: int,
+    timeout: float | None,
+    hear: Callable[..., None] | None,
+) -> Generator[tuple[Item, Result | Exception]]:
+    from multiprocessing.connection import wait
+
+    workers: list[_Worker] = []
+    waiting = deque(range(len(items)))
+    with safe_path():
+        begin = (work, arguments, guarded_group(), hear is not None)
+        try:
+            while waiting or workers:
+                while waiting and len(workers) < max(1, jobs):
+                    forked = jobs == 0 and _may_fork()
+                    workers.append(_Worker(begin, waiting.popleft(), items, timeout, forked=forked))
+                left = min(worker.deadline for worker in workers) - time.monotonic()
+                said = wait([worker.connection for worker in workers], None if left == inf else max(0.0, left))
+                for worker in list(workers):
+                    worker.stop_if_late()
+                    if worker.connection not in said:
+                        continue
+                    (what, value), number = worker.received(), worker.number
+                    if what == BEGUN:
+                        worker.give(number)
+                    elif what == REPORT and hear is not None:
+                        hear(items[number], *value)
+                    elif what == OUTCOME:
+                        if worker.ended or not waiting:
+                            workers.remove(worker)
+                            worker.end()
+                        else:
+                            worker.give(waiting.popleft())
+                        yield items[number], value
+        finally:  # what is still at work was left by an exception
+            for worker in workers:
+                worker.kill()
+            for worker in workers:
+                worker.end()
+
+
+BEGUN, REPORT, OUTCOME = "begun", "report", "outcome"
+"""What a worker sends, each with a value: once that it has begun, then reports and an outcome of each item."""
+
+
+class _Worker:
+    """A process of this machine that works on one item at a time; `number` is that of its item."""
+
+    def __init__(
+        self, begin: tuple[Any, ...], number: int, items: Sequence[Any], timeout: float | None, *, forked: bool
+    ) -> None:
+        from multiprocessing import Pipe, get_context, resource_tracker  # only where there are processes
+
+        if not forked:
+            resource_tracker.ensure_running()  # otherwise the first worker starts it, and unblocks Ctrl-C
+        self.number, self.deadline, self.ended = number, inf, False
+        self._items, self._timeout, self._late = items, timeout, False
+        self.connection, other = Pipe()
+        context: Any = get_context("fork" if forked else "spawn")
+        self._process = context.Process(target=_serve, args=(other, forked, *begin), daemon=True)
+        with other, _interrupts_left_to_this_process():
+            self._process.start()
+
+    def give(self, number: int) -> None:
+        """Let the process, which has nothing to do, work on an item."""
+        self.number = number
+        self.deadline = inf if self._timeout is None else time.monotonic() + self._timeout
+        with suppress(OSError):  # it has died, which `received` finds
+            self.connection.send(self._items[number])
+
+    def received(self) -> tuple[str, Any]:
+        """Return what the process has sent; its end is the outcome of its item."""
+        try:
+            sent: tuple[str, Any] = self.connection.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            self.ended = True
+            if self._late:
+                return OUTCOME, TimeoutError(f"it took more than {self._timeout:g} s")
+            code = self._process.exitcode
+            return OUTCOME, ChildProcessError(f"the worker process died with exit code {code}, probably out of memory")
+        return sent
+
+    def stop_if_late(self) -> None:
+        """Stop the process if the time for its item is over; what it has sent by then is still received."""
+        if time.monotonic() >= self.deadline:
+            self.deadline, self.ended, self._late = inf, True, True
+            self.kill()
+
+    def kill(self) -> None:
+        """Stop the process at its work."""
+        self._process.kill()
+
+    def end(self) -> None:
+        """End the process, which has nothing to do or was killed."""
+        self._process.terminate()
+        self._process.join(3.0)
+        self._process.kill()  # where it ignores that it was asked
+        self._process.join()
+        self.connection.close()
+
+
+def _serve(
+    connection: Connection, forked: bool, work: Callable[..., Any], arguments: Sequence[Any], group: int, heard: bool
+) -> None:
+    """Work on items in a process that shares the terminal, and shows no progress of its own."""
+    os.environ[UNSHOWN] = "0"
+    join(group)
+    if forked:  # it has the other process's ways to end
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    os.set_inheritable(connection.fileno(), False)  # its end is seen when this process ends
+    one_at_a_time = threading.Lock()
+
+    def report(*values: Any) -> None:
+        with suppress(OSError), one_at_a_time:  # the other process has ended
+            connection.send((REPORT, values))
+
+    with suppress(EOFError, OSError):  # the other process has ended
+        connection.send((BEGUN, None))
+        while True:
+            outcome = _outcome(work, connection.recv(), *arguments, *([report] if heard else []))
+            with one_at_a_time:
+                connection.send((OUTCOME, outcome))
+
+
+def _outcome(work: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the result of some work, or its exception, as another process can receive it."""
+    outcome: Any
+    try:
+        outcome = work(*arguments)
+    except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
+        outcome = error
+    except BaseException as error:  # noqa: BLE001  SystemExit, for instance
+        return ChildProcessError(f"the worker process was ended by {error!r}")
+    try:
+        pickle.loads(pickle.dumps(outcome))
+    except Exception as error:  # noqa: BLE001  pickling may run any code of the outcome's classes
+        return ChildProcessError(f"{outcome!r} cannot be sent to another process: {error}")
+    return outcome
+
+
+def _on_cluster(
+    work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], scheduler: str
+) -> Generator[tuple[Item, Result | Exception]]:
+    try:
+        from distributed import Client, KilledWorker
+        from distributed import as_completed as as_completed_on_cluster
+    except ImportError:
+        raise MissingExtraError("a cluster needs", "Dask", "cluster") from None
+
+    with Client(scheduler) as client:
+        futures = {client.submit(work, item, *arguments, pure=False): item for item in items}
+        try:
+            for future in as_completed_on_cluster(list(futures)):
+                outcome: Any
+                try:
+                    outcome = future.result()
+                except KilledWorker:
+                    outcome = ChildProcessError("its workers died, probably out of memory")
+                except Exception as error:  # noqa: BLE001  as above
+                    outcome = error
+                yield futures[future], outcome
+        finally:
+            client.cancel(list(futures))
+
+
+@contextmanager
+def _interrupts_left_to_this_process() -> Iterator[None]:
+    """Block Ctrl-C for threads and processes that start within the context, from their start on."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

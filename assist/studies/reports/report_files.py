@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import require_package
 from planner.system.files import atomic, remove_unfinished
+from planner.system.processes import outcomes
 from planner.system.results import markdown_cell, markdown_table
-from planner.system.workers import outcomes
 
 from ...drawing.plots import style
 from . import wording

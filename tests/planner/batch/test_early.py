@@ -197,9 +197,9 @@ def test_what_a_worker_has_told_outlives_it(tmp_path: Path, monkeypatch: pytest.
     note = COMPARING if saved else SWEEPING
     record = {**told[0][0], "note": note}
 
-    def outcomes(_: object, items: list, *__: object, **___: object) -> Iterator[tuple]:
+    def outcomes(_: object, items: list, *__: object, hear: Callable, **___: object) -> Iterator[tuple]:
         (item,) = items
-        item[2].write_text(json.dumps([record, saved]))
+        hear(item, batch.NEW_RECORD, record, saved)
         yield item, TimeoutError()
 
     monkeypatch.setattr(batch, "outcomes", outcomes)
@@ -208,9 +208,10 @@ def test_what_a_worker_has_told_outlives_it(tmp_path: Path, monkeypatch: pytest.
         {**record, "note": f"{note}; out of time (5 s)"}
     ]
 
-    def interrupted(_: object, items: list, *__: object, **___: object) -> Iterator[tuple]:
+    def interrupted(_: object, items: list, *__: object, hear: Callable, **___: object) -> Iterator[tuple]:
         (item,) = items
-        item[2].write_text(json.dumps([record, saved]))
+        hear(item, batch.NEW_RECORD, {**record, "verified": 0}, saved)
+        hear(item, batch.NEW_RECORD, record, saved)  # which is only stored at the end
         yield from [(item, None)][:0]
         raise KeyboardInterrupt
 
@@ -218,9 +219,9 @@ def test_what_a_worker_has_told_outlives_it(tmp_path: Path, monkeypatch: pytest.
     heard: list[SolveRecord] = []
     with pytest.raises(KeyboardInterrupt):
         solve_batch([instance(TINY)], options, out=tmp_path / "second", tell=heard.append)
-    assert heard == [record]
+    assert heard == [{**record, "verified": 0}, record]
     lines = (tmp_path / "second" / "results.jsonl").read_text().splitlines()
-    assert [json.loads(line) for line in lines] == [record]
+    assert json.loads(lines[-1]) == record
     assert len(Results(tmp_path / "second", [instance(TINY)], options, resume=True).records) == int(saved)
 
 

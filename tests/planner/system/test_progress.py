@@ -29,7 +29,7 @@ from assist.team import TeamAction, TeamState
 from planner import Instance, Table, cost_to_go, sweep
 from planner.system import jit, progress
 from planner.system.compiling import compiling
-from planner.system.workers import outcomes
+from planner.system.processes import outcomes
 
 
 class Heard(io.StringIO):

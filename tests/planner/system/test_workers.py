@@ -14,7 +14,7 @@ from planner.system.processes import python
 
 ENDS = """
 import os, signal, sys, threading, time
-from planner.system.workers import outcomes
+from planner.system.processes import outcomes
 
 class Twofold(Exception):
     def __init__(self, a, b):  # pickle calls it with one argument
@@ -76,12 +76,18 @@ def test_however_work_ends_there_is_an_outcome(tmp_path: Path) -> None:
 
 
 SEVERAL = """
-import signal
-from planner.system.workers import outcomes
+import os, signal
+from planner.system.processes import outcomes
 
 def deaf(item, report):
     report("begun", item * item)
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+def ending(item, report):
+    report("x" * 100_000)  # more than a pipe takes at once
+    while item == "never":
+        report(1)
+    os.kill(os.getpid(), signal.SIGKILL)
 
 if __name__ == "__main__":
     heard = []
@@ -89,10 +95,15 @@ if __name__ == "__main__":
     found = [result for _, result in coming]
     assert found == [True] * 3, found
     assert sorted(heard) == [(1, "begun", 1), (2, "begun", 4), (3, "begun", 9)], heard
+    for item, fault in (("dies", ChildProcessError), ("never", TimeoutError)):
+        heard = []
+        ((_, outcome),) = outcomes(ending, [item], timeout=0.5, hear=lambda *words: heard.append(words))
+        assert isinstance(outcome, fault), outcome
+        assert heard[0] == (item, "x" * 100_000)
 """
 
 
-def test_workers_are_heard_and_ctrl_c_does_not_reach_them_from_their_beginning(tmp_path: Path) -> None:
+def test_workers_are_heard_to_their_end_and_ctrl_c_does_not_reach_them_from_their_beginning(tmp_path: Path) -> None:
     run(tmp_path, SEVERAL)
 
 
