@@ -13,7 +13,7 @@ let chosen = []; // objects clicked in succession
 let started = null;
 let refusals = 0;
 let explained = null; // the view whose explanation is shown
-let left = null; // the button that had the focus when the list of actions was disabled
+let left = null; // the action whose button had the focus when the list of actions was disabled
 let questioned = null; // the question that is shown, with the step at which it was asked
 
 // Texts.
@@ -207,7 +207,7 @@ async function compare() {
 
 function showActions() {
   const list = at("actions");
-  const before = list.contains(focused()) ? focused()?.textContent : focused() === document.body ? left : null;
+  const before = list.contains(focused()) ? focused()?.dataset.action : focused() === document.body ? left : null;
   left = outbox.busy ? before : null;
   fill(list, view.applicable.map((action) => {
     const line = item(words(action), () => act(action));
@@ -219,7 +219,7 @@ function showActions() {
   }));
   if (before !== null && !outbox.busy) {
     const buttons = all("button", list);
-    (buttons.find((button) => button.textContent === before) ?? buttons[0] ?? at("choices-title")).focus();
+    (buttons.find((button) => button.dataset.action === before) ?? buttons[0] ?? at("choices-title")).focus();
   }
 }
 
