@@ -152,12 +152,5 @@ class RobotsEnv(pettingzoo.ParallelEnv):
         """Do nothing; the environment holds no resources."""
 
 
-def parallel_env(instance: AnyTask | Pool, humans: int = 2, **options: Any) -> RobotsEnv:
-    """Return a parallel environment with an agent for each robot of the setting.
-
-    Parameters
-    ----------
-    instance, humans, **options
-        As in `RobotsEnv`.
-    """
-    return RobotsEnv(instance, humans, **options)
+parallel_env = RobotsEnv
+"""The name that PettingZoo gives what makes a parallel environment."""

@@ -138,7 +138,7 @@ class Bridge:
         pause, lost, loop, random = shortest, False, asyncio.get_running_loop(), Random()
         transport = self.transport
         while True:
-            began, why = loop.time(), "the connection was closed"
+            began = loop.time()
             try:
                 async with transport.connect():
                     if lost or not self.counts["connections"]:
@@ -168,17 +168,10 @@ class Bridge:
         self.connected = True
         if self._errands is not None:
             self._errands.connected()
-        tasks = [asyncio.create_task(self._publish()) for _ in range(self.transport.at_once)]
-        tasks.append(asyncio.create_task(self._receive()))
         try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
+            await together(self._receive(), *(self._publish() for _ in range(self.transport.at_once)))
         finally:
             self.connected = False
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
             unsent = self._under_way | self._waiting  # in their order; of one key, the newest
             self._waiting = {key: output for key, output in unsent.items() if not output.passing}
             self._under_way = {}
@@ -225,6 +218,7 @@ class Bridge:
     async def _receive(self) -> None:
         async for message in self.transport.messages():
             self.take(message)
+        raise ConnectionError("the connection was closed")
 
     # Reports.
 

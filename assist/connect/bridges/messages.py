@@ -29,8 +29,8 @@ from ...live.names import name_of
 from ...people.action_names import Words, words_of, wrong_form
 from ...people.choices import STAND_STILL
 
-Fields = dict[str, str]
-"""Fields of a message, as texts."""
+Fields = Mapping[str, Any]
+"""Fields of a message: values of JSON, or texts."""
 
 FIELD = re.compile(r"\{(\w+)\}")
 LEVEL = re.compile(r"\{(\w+)\}|[^{}+#]*")
@@ -107,28 +107,36 @@ def meet(one: str, other: str) -> bool:
     )
 
 
-def filled(template: str, fields: Mapping[str, str], names: Mapping[str, str]) -> str:
+def text_of(value: Any) -> str | None:
+    """Return a text as it is, and a number or truth value as in JSON; None for all else."""
+    if isinstance(value, int | float):
+        return json.dumps(value)
+    return value if isinstance(value, str) else None
+
+
+def filled(template: str, fields: Fields, names: Mapping[str, str]) -> str:
     """Return a template with its fields filled in.
 
     Parameters
     ----------
     template : str
         A template of one field only takes its value as it is; in longer ones, each value is one word.
-    fields : mapping of str to str
+    fields : mapping of str to object
     names : mapping of str to str
         The task's names of values that are written otherwise, such as bar codes.
 
     Raises
     ------
     Refusal
-        A field is missing, or its value is not one word.
+        A field is missing, a list or a table, or its value is not one word.
     """
     alone = FIELD.fullmatch(template) is not None
 
     def value(found: re.Match[str]) -> str:
-        given = fields.get(found[1])
+        given = text_of(fields.get(found[1]))
         if given is None:
-            raise unusable(f"there is no field {found[1]!r}; the message has {_names_of(fields)}")
+            names_of = ", ".join(name[:40] for name in list(fields)[:MANY]) or "none"
+            raise unusable(f"there is no field {found[1]!r}; the message has {names_of}")
         named = names.get(given, given)
         if not alone and not WORD.fullmatch(named):
             raise unusable(f"field {found[1]!r} is {given[:40]!r}; expected one word")
@@ -137,42 +145,13 @@ def filled(template: str, fields: Mapping[str, str], names: Mapping[str, str]) -
     return FIELD.sub(value, template)
 
 
-def _names_of(fields: Mapping[str, str]) -> str:
-    """Return the names of a message's fields, as a refusal lists them."""
-    return ", ".join(name[:40] for name in list(fields)[:MANY]) or "none"
-
-
-def texts_of(content: Mapping[str, Any]) -> Fields:
-    """Return the values of a message, as texts: all but lists, tables in tables, and a null that says nothing.
-
-    Raises
-    ------
-    Refusal
-        A text has half a character (an escape in JSON), which cannot be sent.
-    """
-    says = {name for kind in kinds(OfPerson).values() for name in kind.never_left_out}
-    found = {
-        name: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-        for name, value in content.items()
-        if isinstance(value, str | int | float)
-        or (isinstance(value, dict) and not any(isinstance(one, dict | list) for one in value.values()))
-        or (value is None and name in says)
-    }
-    for name, value in found.items():
-        try:
-            f"{name}{value}".encode()
-        except UnicodeEncodeError:
-            raise unusable(f"field {name[:40]!r} is {value[:40]!r}; expected Unicode text") from None
-    return found
-
-
 def content_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> dict[str, Any]:
     """Return the content of a payload: a JSON object, or the named groups of a pattern in a text.
 
     Raises
     ------
     Refusal
-        It is neither.
+        It is neither, or has half a character (an escape in JSON), which cannot be sent.
     """
     try:
         text = payload.decode()
@@ -186,12 +165,16 @@ def content_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> dict[s
         raise unusable(f"{text[:40]!r} does not match {pattern.pattern}")
     if not isinstance(content, dict):
         raise unusable(f"{text[:40]}; expected a JSON object")
+    return sendable(content)
+
+
+def sendable(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a message; a `Refusal` if it has half a character, which JSON can name."""
+    try:
+        json.dumps(content, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        raise unusable(f"{error.object[error.start - 20 : error.end]!r}; expected Unicode text") from None
     return content
-
-
-def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
-    """Return the content of a payload as texts; a `Refusal` as `content_of` has it, or for half a character."""
-    return texts_of(content_of(payload, pattern))
 
 
 def fields_of_value(text: str, pattern: re.Pattern[str] | None = None) -> Fields:
@@ -203,7 +186,7 @@ def fields_of_value(text: str, pattern: re.Pattern[str] | None = None) -> Fields
         The text begins as an object and is none, or does not match the pattern.
     """
     if pattern is not None or text.lstrip().startswith("{"):
-        return fields_of(text.encode(errors="replace"), pattern)
+        return content_of(text.encode(errors="replace"), pattern)
     return {"value": text}
 
 
@@ -219,7 +202,7 @@ class Report:
     kind : str
         The kind of event (`assist.live.events`).
     values : mapping of str to object
-        Its other fields, as texts or as the event has them.
+        Its other fields, as the message or the event has them.
     number : int or None
         Its place among the reports of this person, counted from 1.
     fault : str or None
@@ -254,32 +237,22 @@ class Report:
 
 
 def _made(kind: type[OfPerson], given: dict[str, Any]) -> OfPerson:
-    """Return an event; texts stand for truth values and null, and for numbers and tables where these are expected."""
-    words = {name: WORDS[text] for name, text in given.items() if name not in ("person", "id") and text in WORDS}
+    """Return an event; texts stand for truth values, null, numbers and tables where these are expected."""
+    read = {name: _read(value) for name, value in given.items() if name not in ("person", "id")}
     try:
-        return kind.model_validate(given | words)
+        return kind.model_validate(given | read)
     except ValidationError as error:
-        wrong = {str(one["loc"][0]) for one in error.errors() if one["loc"]}
-        others = {name: given[name] for name in wrong & words.keys()}
-        others |= {name: value for name in wrong & given.keys() if (value := _read(given[name])) is not None}
-        if not others:
-            raise
-        return kind.model_validate(given | words | others)
+        texts = {str(one["loc"][0]) for one in error.errors() if one["loc"]} & read.keys()
+        return kind.model_validate(given | read | {name: given[name] for name in texts})
 
 
-WORDS = {"true": True, "false": False, "null": None}
-"""What these texts stand for."""
-
-
-def _read(text: Any) -> Any:
-    """Return the number or table that is written in a text; None for others."""
-    number_or_table = r"-?\d{1,15}(\.\d{1,40})?([eE][+-]?\d{1,3})?|\{.*\}"
-    if not isinstance(text, str) or not re.fullmatch(number_or_table, text, re.DOTALL):
-        return None
+def _read(value: Any) -> Any:
+    """Return what a text says that is JSON of another type; other values as they are."""
     try:
-        return json.loads(text)
+        found = json.loads(value) if isinstance(value, str) else value
     except (ValueError, RecursionError):
-        return None
+        return value
+    return value if isinstance(found, str) else found
 
 
 def _template(text: str) -> str:
@@ -355,9 +328,11 @@ class Source:
             return Report(person, identifier, kind, number=number, fault=str(error))
         known = [*kinds(OfPerson)[kind].fields()]
         values = {
-            name: fields[name] for name in known if name in fields and name not in ("person", "id", "action", "seq")
-        }
-        values |= {} if seq is None else {"seq": str(seq)}
+            name: value for name, value in fields.items()
+            if name in known and name not in ("person", "id", "action", "seq")
+            and (value is not None or name in kinds(OfPerson)[kind].never_left_out)
+        }  # fmt: skip
+        values |= {} if seq is None else {"seq": seq}
         try:
             values |= {"action": filled(self.action, fields, names)} if "action" in known else {}
         except Refusal as error:

@@ -19,7 +19,7 @@ from .messages import (
     Source,
     Template,
     Topic,
-    fields_of,
+    content_of,
     require_among,
     wrong,
 )
@@ -66,9 +66,9 @@ class Observed(Source):
         Raises
         ------
         Refusal
-            As in `fields_of`.
+            As in `content_of`.
         """
-        return {**fields_of(payload, self.pattern), **(self.topic.fields(topic) or {})}
+        return {**content_of(payload, self.pattern), **(self.topic.fields(topic) or {})}
 
 
 @declared

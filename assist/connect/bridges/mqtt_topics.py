@@ -11,9 +11,9 @@ from typing import Any
 
 from ...declare.refusals import Refusal
 from ...live.robot_places import robot_numbers
-from .messages import LONGEST_ID, content_of, fields_of, texts_of, unusable
+from .messages import LONGEST_ID, content_of, filled, unusable
 from .mqtt_settings import ADVICE, ROBOT, MqttSettings
-from .transport import Answer, Faulty, Kept, Located, Message, Output, Reported, Resumed, Transport
+from .transport import Answer, Kept, Located, Message, Output, Resumed, Transport
 
 LOG = logging.getLogger(__name__)
 
@@ -31,6 +31,7 @@ class Topics(Transport):
     """
 
     name, reads = "MQTT", MqttSettings
+    settings: MqttSettings
 
     def __init__(self, settings: MqttSettings, robots: int = 1) -> None:
         super().__init__()
@@ -56,19 +57,14 @@ class Topics(Transport):
         source = next((one for one in self.settings.sources if one.topic.fields(topic) is not None), None)
         if source is None:  # a subscription of an earlier configuration
             return Message(done=done)
-        fields = dict(source.topic.fields(topic) or {})
-        try:
-            fields = source.fields(topic, payload)
-            return Reported(source.report(fields, self.settings.names), done=done)
-        except Refusal as error:
-            return Faulty(str(error), fields.get("person"), fields.get("id"), done=done)
+        return self.reported(source, lambda: source.fields(topic, payload), source.topic.fields(topic), done=done)
 
     def before(self, topic: str, payload: bytes) -> Iterator[Message]:
         """Yield what follows from a message that the broker has kept; the one last answer may be of this session."""
         answers, advice = self.settings.answers, self.settings.advice
         if answers is not None and (own := answers.topic.fields(topic)) is not None:
-            with suppress(ValueError):
-                fields = fields_of(payload)
+            with suppress(TypeError, ValueError):
+                fields = content_of(payload)
                 if fields.get("session") == self.session and "next" in fields:
                     yield Resumed(own["person"], int(fields["next"]))
                     return
@@ -81,14 +77,15 @@ class Topics(Transport):
             if robot not in map(str, range(1, self._count + 1)):
                 raise unusable(f"robot {robot[:40]!r}; expected {robot_numbers(self._count)}")
             content = content_of(payload)
-            person, fields = content.get("person", MISSING), texts_of(content)
+            person = content.get("person", MISSING)
             if not isinstance(person, str | None):
                 given = "no person" if person is MISSING else f"person {json.dumps(person)[:40]}"
                 raise unusable(f'{given}; expected {{"person": name}}, with null at the base')
+            identifier = filled("{id}", content, {}) if "id" in content else None
         except Refusal as error:
             LOG.warning("MQTT: arrival of a robot: %s", error)
             return Message(done=done)
-        return Located(int(robot), person, fields.get("id"), done=done)
+        return Located(int(robot), person, identifier, done=done)
 
     # What goes where.
 

@@ -21,10 +21,9 @@ from typing import Any
 
 from planner.system.errors import require_package
 
-from ...declare.refusals import Refusal
 from .messages import fields_of_value
 from .opcua_settings import Observed, OpcUaSettings, password
-from .transport import Answer, Faulty, Message, Output, Reported, Transport
+from .transport import Answer, Message, Output, Transport
 
 PERIOD = 50.0
 """Milliseconds between two looks of the server at the nodes; values that change twice in it can be missed."""
@@ -77,6 +76,7 @@ class OpcUa(Transport):
     """
 
     name, reads = "OPC UA", OpcUaSettings
+    settings: OpcUaSettings
 
     def __init__(self, settings: OpcUaSettings, robots: int = 1) -> None:
         super().__init__()
@@ -158,15 +158,11 @@ class OpcUa(Transport):
 
     def _message(self, observed: Observed, text: str, data: Any) -> Message:
         """Return what a value reports."""
-        fields: dict[str, str] = {}
-        try:
-            fields = fields_of_value(text, observed.pattern)
-            if observed.id is None:
-                at = data.SourceTimestamp or data.ServerTimestamp
-                fields["id"] = sha256(f"{observed.node} {at} {text}".encode()).hexdigest()
-            return Reported(observed.report(fields, self.settings.names), observed.node)
-        except Refusal as error:
-            return Faulty(str(error), fields.get("person"), fields.get("id"), observed.node)
+        own = {}
+        if observed.id is None:
+            at = data.SourceTimestamp or data.ServerTimestamp
+            own["id"] = sha256(f"{observed.node} {at} {text}".encode()).hexdigest()
+        return self.reported(observed, lambda: {**fields_of_value(text, observed.pattern), **own}, origin=observed.node)
 
     # What goes where.
 

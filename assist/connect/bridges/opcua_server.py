@@ -59,6 +59,7 @@ class OwnServer(Transport):
     """
 
     name, reads = "OPC UA", OwnServerSettings
+    settings: OwnServerSettings
 
     def __init__(self, settings: OwnServerSettings, robots: int = 1) -> None:
         super().__init__()
@@ -156,13 +157,13 @@ class OwnServer(Transport):
 
     def _report(self, person: str, text: str, identifier: str | None = None) -> Report:
         """Return what a text reports; a fault is part of it."""
-        fields, source = {"person": person}, self.settings.own_server
+        source = self.settings.own_server
         if identifier is None and source.id is None:
             identifier = uuid.uuid4().hex
         if identifier is not None:
             source = replace(source, id=None)
         try:
-            fields = {**fields_of_value(text, source.pattern), **fields}
+            fields = {**fields_of_value(text, source.pattern), "person": person}
             if identifier is not None:
                 fields["id"] = identifier
             return source.report(fields, self.settings.names)

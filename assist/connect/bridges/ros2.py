@@ -18,11 +18,10 @@ from typing import Any
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
-from ...declare.refusals import Refusal
 from .mqtt_settings import ADVICE
-from .ros2_settings import ANSWER, STRING, Observed, Ros2Settings
+from .ros2_settings import ANSWER, STRING, Ros2Settings
 from .ros2_settings import Output as RosOutput
-from .transport import Answer, Drove, Faulty, Message, Output, Reported, Transport
+from .transport import Answer, Drove, Message, Output, Transport
 
 LOG = logging.getLogger(__name__)
 
@@ -42,6 +41,7 @@ class Ros2(Transport):
     """
 
     name, reads = "ROS 2", Ros2Settings
+    settings: Ros2Settings
     again = 5.0  # for those who have joined the topic meanwhile; fewer seconds add load
     lost = (OSError, InvalidHandshake, ConnectionClosed, TimeoutError)
 
@@ -95,20 +95,13 @@ class Ros2(Transport):
             LOG.warning("ROS 2: %r is no message of rosbridge", text[:40])
             return None
         if op == "publish" and message.get("topic") in self._observed and isinstance(message.get("msg"), dict):
-            return self._reported(self._observed[message["topic"]], message["msg"])
+            observed, said = self._observed[message["topic"]], message["msg"]
+            return self.reported(observed, lambda: observed.fields(said))
         if op == "action_result" and message.get("id") is not None:
             return Drove(str(message["id"]), _succeeded(message), str(message.get("values"))[:200])
         if op == "status" and message.get("level") in ("error", "warning"):
             LOG.warning("ROS 2: the server reports: %s", str(message.get("msg"))[:300])
         return None
-
-    def _reported(self, observed: Observed, message: Mapping[str, Any]) -> Message:
-        fields: Mapping[str, str] = {}
-        try:
-            fields = observed.fields(message)
-            return Reported(observed.report(dict(fields), self.settings.names))
-        except Refusal as error:
-            return Faulty(str(error), fields.get("person"), fields.get("id"))
 
     # What goes where.
 

@@ -19,10 +19,10 @@ from .messages import (
     Observing,
     Source,
     Template,
-    fields_of,
+    content_of,
     matching,
     require_among,
-    texts_of,
+    sendable,
     unusable,
     wrong,
 )
@@ -79,8 +79,8 @@ class Observed(Source):
             It is a String without a JSON object in it, or does not match the pattern.
         """
         if self.type == STRING:
-            return fields_of(str(message.get("data", "")).encode(errors="replace"), self.pattern)
-        return texts_of(message)
+            return content_of(str(message.get("data", "")).encode(errors="replace"), self.pattern)
+        return sendable(dict(message))
 
 
 @declared

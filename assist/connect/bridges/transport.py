@@ -17,7 +17,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from ...declare.declared import AnyText, Seldom, View, Whole, declared
-from .messages import BridgeSettings, Report
+from ...declare.refusals import Refusal
+from .messages import BridgeSettings, Fields, Report, Source, text_of
 
 
 def nothing() -> None:
@@ -206,6 +207,7 @@ class Transport(ABC):
     """
 
     name: str
+    settings: BridgeSettings
     reads: ClassVar[type[BridgeSettings]]
     lost: tuple[type[Exception], ...] = (OSError,)
     robots = 0
@@ -237,6 +239,17 @@ class Transport(ABC):
     def address(self) -> str:
         """Return where it connects to, for messages."""
         return self.name
+
+    def reported(
+        self, source: Source, read: Callable[[], Fields], known: Fields | None = None, **more: Any
+    ) -> Message:  # fmt: skip
+        """Return what a message reports, given how its fields are read; those of its topic are known before."""
+        fields = known or {}
+        try:
+            fields = read()
+            return Reported(source.report(fields, self.settings.names), **more)
+        except Refusal as error:
+            return Faulty(str(error), text_of(fields.get("person")), text_of(fields.get("id")), **more)
 
     def initially(self) -> Iterable[Output]:
         """Yield what is sent before the service has told anything."""
