@@ -136,7 +136,7 @@ def main(repeat: int, interpreted: str | None, record: Path | None) -> None:
         rows.append({"name": name, "case": case, "instead": instead, **times})
         print(" | ".join(show(rows[-1]) for show in COLUMNS.values()), flush=True)
 
-    with patch("planner.system.compiling.ReadableFirst.enough", -1):
+    with patch("planner.system.jit.ReadableFirst.enough", -1):
         for name in READABLE:
             case, function, readable = with_readable(name)
             with readable:

@@ -18,8 +18,8 @@ from typing import TypeAlias
 import numpy as np
 
 from planner.system.limits import processors
+from planner.system.processes import on_threads
 from planner.system.progress import Progress, adding
-from planner.system.threads import on_threads
 
 from ..people.arguments import fraction, positive, require_options, whole
 from ..people.decision import Floats, Ints

@@ -4,7 +4,7 @@ The robot acts first, then everyone (equation 3): people choose in the state aft
 
 Equations (6) and (7) are written here once more, for arrays of people; tests compare them with
 `assist.people.decision`. Equation (5) is in `Minds.p`. `act_compiled` (`dynamics_kernel`) gives the same bits as
-`act_readable`; `act` calls the readable one until that has taken a second or so (`planner.system.compiling`). Theta of
+`act_readable`; `act` calls the readable one until that has taken a second or so (`planner.system.jit`). Theta of
 people of the robot's model moves here on the grid, under any rule. For people of a pool, rules other than (7) move it
 in `team.trust_of_people`. What the robot learns is in `beliefs`.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.system.compiling import ReadableFirst
+from planner.system.jit import ReadableFirst
 
 from ..people.decision import NOTHING, Bools, Floats, Ints
 from .belief_update import in_order

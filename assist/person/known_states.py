@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from planner.system.compiling import ReadableFirst
+from planner.system.jit import ReadableFirst
 
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import Bools, Floats, Ints

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from planner.system.errors import expected
+from planner.system.processes import on_threads
 from planner.system.progress import adding
-from planner.system.threads import on_threads
 
 from ..people.user_code import UserCodeError, described, load, parse
 from ..person.policy import Policy

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.system.limits import Deadline
+from planner.system.processes import on_threads
 from planner.system.progress import Wanted, adding, parts_shown, shows_progress
-from planner.system.threads import on_threads
 
 from ..people.arguments import Seed, whole
 from .attention import AttentionSwitching

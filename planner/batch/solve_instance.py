@@ -27,9 +27,9 @@ from ..pddl.instances import Instance, PDDLError
 from ..pddl.plan_execution import execute
 from ..pddl.reader import Reading, read
 from ..pddl.validation import SecondReader
-from ..system.compiling import compiling
 from ..system.errors import MismatchError, UnsuitedError
 from ..system.files import atomic
+from ..system.jit import compiling
 from ..system.limits import (
     LimitError,
     Limits,
@@ -40,8 +40,8 @@ from ..system.limits import (
     reset_peak_memory,
     used_mb,
 )
+from ..system.processes import NO_MORE_THREADS
 from ..system.progress import Progress
-from ..system.threads import NO_MORE_THREADS
 from .results_folder import (
     COMPARING,
     COMPILING,

@@ -1,6 +1,7 @@
 """The cost-to-go of one state by Fast Downward's A*, within the range of its 32-bit cost sums.
 
-`Early` runs it in the background while all states are being enumerated.
+`Early` runs it in the background while all states are being enumerated. A task whose numbers may leave the values that
+they were given is searched as one in which leaving is a second way to the goal (`with_leaving`).
 """
 
 from __future__ import annotations
@@ -16,9 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..grounding import fast_downward
 from ..grounding.fast_downward import FastDownwardError
-from ..grounding.leaving import out_of_range, with_leaving, without_leaving
 from ..grounding.semantics import plan_cost, replay
-from ..grounding.task import Task
+from ..grounding.task import Effect, Operator, Task, Variable
 from ..search.packing import can_hold
 from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits, MemoryLimitError, available_memory, used_mb
@@ -27,6 +27,7 @@ from .load import task_of
 
 if TYPE_CHECKING:
     from .load import AnyTask
+
 
 OVERFLOW = 1 << 31
 """Fast Downward's cost sums must stay below this (signed 32-bit integers)."""
@@ -292,3 +293,52 @@ class Early:
         if self.answer is not None and not self._stop.wait(self._begun + self._delay - time.monotonic()):
             with suppress(OSError):  # the receiver's disk or pipe may be full
                 self._tell(self.answer)
+
+
+REACH, LEAVE = "(reach-the-goal)", "(leave-the-values)"
+
+
+def with_leaving(task: Task) -> Task:
+    """Return a task in which leaving the values of numbers is a second way to the goal; its last variable is the goal.
+
+    The compilation of a number without a proven bound has some of its values only. Another value is *beyond* these, and
+    nothing is known of a state in which a number is beyond (`Task.beyond`). Let L be the task in which a state that has
+    a beyond fact, or satisfies the goal, reaches a new goal at no cost.
+
+    Claim: if an optimal plan of L from a state s ends in a state that satisfies the goal and has no beyond fact before
+    its end, it is an optimal plan of the original task from s. If L has no plan from s, neither has the original task.
+
+    Proof: as long as no number is beyond, both tasks have the same states, actions and costs. A plan of the original
+    task from s either never leaves the values, and is a plan of L of the same cost; or its part up to the first state
+    with a beyond fact is one, of at most that cost. So the optimal cost of L is at most that of the original task, and
+    infinite only if that is. A plan of L that reaches the goal itself is a plan of the original task, so that its cost
+    is at least the optimal one. Hence both are equal.
+    """
+    new, first = len(task.variables), len(task.actions)
+    reached = (Effect((), new, 1),)
+    leave = tuple(Operator(first + 1, (fact,), reached) for fact in task.beyond)
+    return replace(
+        task,
+        variables=(*task.variables, Variable("end", ("Atom open()", "Atom ended()"), -1)),
+        actions=(*task.actions, REACH, LEAVE),
+        costs=(*task.costs, 0, 0),
+        operators=(*task.operators, Operator(first, task.goal, reached), *leave),
+        initial=(*task.initial, 0),
+        goal=((new, 1),),
+    )
+
+
+def without_leaving(task: Task, plan: Sequence[str] | None) -> list[str] | None:
+    """Return the plan of a task for one of L; a `LimitError` says if that leaves the values."""
+    if plan is None:
+        return None
+    if plan[-1] == LEAVE:
+        raise LimitError(out_of_range(task))
+    return list(plan[:-1])
+
+
+def out_of_range(task: Task) -> str:
+    """Return which numbers have no proven bound, as a sentence for a limit."""
+    facts = (task.variables[variable].facts[value] for variable, value in task.beyond)
+    names = sorted({fact.removeprefix("Atom ").partition("(")[0] for fact in facts})
+    return f"a cheapest plan may need more values of {', '.join(names)} than were tried, as no bound is proven"

@@ -42,7 +42,7 @@ from ..search.successor_generator import Expanded, expanded, packed_operators
 from ..system.arrays import Ints, Words
 from ..system.errors import UnsuitedError
 from ..system.limits import NO_LIMITS, LimitError, Limits, processors, require_limits
-from ..system.threads import on_threads
+from ..system.processes import on_threads
 from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
 from .cost_to_go import Plan, State, optimal_plan
 from .load import AnyTask, task_of

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Task
-from ..search.automorphisms import symmetries
-from ..search.canonical_states import Forms, canonical
+from ..search.automorphisms import Forms, canonical, symmetries
 from ..search.packing import Packing
 from ..search.search_space import distances, explore
 from ..search.state_registry import RegistryIndex, RegistrySpace

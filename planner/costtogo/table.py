@@ -272,9 +272,9 @@ def explored(
     """
     if (space := _small(task, budget, progress, options)) is not None:
         return space, None
-    from ..search import compiled_search  # the compiler takes longer to import than a small task to solve
+    from ..search import ranked_index  # the compiler takes longer to import than a small task to solve
 
-    return compiled_search.explored(task, budget, threads, progress, options)
+    return ranked_index.explored(task, budget, threads, progress, options)
 
 
 def _small(task: Task, budget: Budget, progress: Progress, options: SweepOptions) -> SortedSpace | None:

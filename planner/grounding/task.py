@@ -169,7 +169,7 @@ class Task(Pictured):
 
     @cached_property
     def beyond(self) -> tuple[Fact, ...]:
-        """The facts that a number has left the values that were tried for it, as no bound is proven (`leaving`).
+        """The facts that a number has left the values that were tried for it, as no bound is proven (`astar`).
 
         Without such facts the task is exact. With them it is not swept; its states are solved on demand.
         """

@@ -30,7 +30,7 @@ from ..system.arrays import Ints, padded
 from ..system.jit import njit
 from ..system.limits import Check, unchecked
 from .kernels.ranked_successors import PRIME
-from .transition_normal_form import TNFOperator
+from .numbering import TNFOperator
 
 STEPS_PER_CHECK = 1 << 21
 """Moves times facts between two checks of the limits."""

@@ -34,8 +34,8 @@ from numpy.typing import NDArray
 from ..grounding.task import Fact
 from ..system.arrays import Ints
 from ..system.limits import Budget, CostLimitError
+from ..system.processes import on_threads
 from ..system.progress import Progress
-from ..system.threads import on_threads
 from .state_space import EXACT, StateIndex, compact, retyped, smallest_type
 
 

@@ -28,9 +28,8 @@ from ..system.arrays import Ints, Words
 from ..system.limits import Check, unchecked
 from .invariants import Determined, Mutexes, determined
 from .kernels.ranked_successors import FIELD_BITS, FIELDS, NOWHERE, PRIME, UnrankingTables, decode_all
-from .numbering import Digits, Sum
+from .numbering import Digits, Sum, TNFOperator
 from .packing import Packing
-from .transition_normal_form import TNFOperator
 from .variable_clusters import Cluster, clusters
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..grounding.task import Fact, Task
 from ..system.arrays import Ints, Words
 from ..system.limits import Budget, LimitError
-from .canonical_states import Forms, canonical
+from .automorphisms import Forms, canonical
 from .kernels import block_steps, packed_successors, state_sets
 from .kernels.packed_successors import PackedOperators
 from .packing import Packing, holds

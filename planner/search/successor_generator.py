@@ -21,9 +21,9 @@ from ..system.limits import Check, unchecked
 from .kernels import packed_successors
 from .kernels.packed_successors import DecisionTree, PackedOperators, Rules
 from .kernels.ranked_successors import ApplicableSets, RankedOperators
+from .numbering import TNFOperator
 from .packing import Packing, Rule, axiom_stages, grouped, possible_operators
 from .state_ranking import StateRanking
-from .transition_normal_form import TNFOperator
 
 
 class _DecisionTreeBuilder:

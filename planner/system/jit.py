@@ -1,7 +1,9 @@
-"""Just-in-time compilation with numba, and its cache on disk.
+"""Just-in-time compilation with numba, its cache on disk, and when code is compiled.
 
 A function is compiled when it is first called. Later processes load its code from the cache. numba itself is imported
-then, too: that takes longer than most small work, which needs no compiled code.
+then, too: that takes longer than most small work, which needs no compiled code. Compiling takes seconds, and loading
+what is compiled takes half a second. So some functions are readable first (`ReadableFirst`). Who listens to what is
+compiled (`compiling`) need not import the compiler, nor numpy.
 """
 
 from __future__ import annotations
@@ -23,14 +25,64 @@ from pathlib import Path
 from types import FrameType, FunctionType, ModuleType
 from typing import Any
 
-import numpy as np
+_listening: list[Callable[[str], None]] = []
 
-from .compiling import announce
+
+@contextmanager
+def compiling(tell: Callable[[str], None]) -> Iterator[None]:
+    """Call `tell` before each function that is compiled within the context because it is not in the cache.
+
+    It receives what the function is for, and about how long compiling takes.
+    """
+    _listening.append(tell)
+    try:
+        yield
+    finally:
+        _listening.remove(tell)
+
+
+def announce(purpose: str) -> None:
+    """Tell all who listen that a function is going to be compiled, and what it is for."""
+    for tell in tuple(_listening):
+        tell(purpose)
+
+
+class ReadableFirst:
+    """A function that is readable first, and compiled where it pays.
+
+    The readable definition is used until it has done the work of about a second. From then on, the compiled one is, as
+    there may be much more to come. Both give equal results. Where it takes a small share of the time, as in a service
+    that waits for people, nothing can be saved, and it remains in use: somebody would wait for the compiler, which also
+    takes 100 MB.
+
+    Parameters
+    ----------
+    readable, compiled : callable
+        The two definitions; results do not depend on which one is used.
+    work : callable
+        Returns about how many nanoseconds the readable definition takes, from the arguments.
+    """
+
+    enough = 1_000_000_000
+    """Nanoseconds of work by the readable definition before the compiled one takes over."""
+    small = 0.1
+    """Share of the time that the work of the readable definition may take without being counted."""
+
+    def __init__(self, readable: Callable[..., Any], compiled: Callable[..., Any], work: Callable[..., float]) -> None:
+        self.readable, self.compiled = readable, compiled
+        self._work, self._done, self._last = work, 0.0, 0
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call one of the definitions."""
+        if self._done > self.enough:
+            return self.compiled(*arguments)
+        now = time.monotonic_ns()
+        self._done = max(0.0, self._done - self.small * (now - self._last)) + self._work(*arguments)
+        self._last = now
+        return self.readable(*arguments)
+
 
 BLAS = "scipy.linalg.cython_blas"
-
-CONSTANTS = (bool, int, float, str, tuple, np.generic)
-"""Types of the values that numba compiles into the code as constants."""
 
 COMPILED_FOR = "a part that saves time at large sizes: some seconds"
 """What the functions of a module are compiled for, and about how long this takes, unless the module says it itself."""
@@ -265,6 +317,9 @@ def stamp(module: str) -> str:
     that the module imports. It covers the same of each module from which the module imports compiled functions,
     intrinsics or named tuples, and of each module that is imported whole.
     """
+    import numpy as np
+
+    constants = (bool, int, float, str, tuple, np.generic)  # types of values that numba compiles into the code
     names = vars(sys.modules[module])
     found = hashlib.sha256(
         "".join(linecache.getlines(names["__file__"], names) + linecache.getlines(__file__)).encode()
@@ -273,7 +328,7 @@ def stamp(module: str) -> str:
         other = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
         if name.startswith("__") or isinstance(value, FunctionType) or _is_plain_class(value):
             continue
-        if isinstance(value, CONSTANTS):
+        if isinstance(value, constants):
             found.update(f"{name} {value!r}".encode())
         elif isinstance(value, np.ndarray):
             found.update(f"{name} {value.dtype} {value.shape}".encode() + value.tobytes())

@@ -1,4 +1,4 @@
-"""Child processes that never outlive the process that started them, and the same work on many items in such processes.
+"""Child processes that never outlive the process that started them, and work on many items in processes or threads.
 
 Each process that starts children has a guard: a shell that reads from a pipe. The other end of the pipe is open in that
 process only. When the process ends, even if it is killed or crashes, the system closes the pipe, and the guard kills
@@ -8,10 +8,12 @@ on Linux only, and it leaves such a moment. It is also sent when the *thread* th
 
 `outcomes` distributes work on many items, among processes of this machine or on a cluster, and yields results in the
 order of completion. Each worker has one pipe, on which its progress comes before the result that it leads to.
+`on_threads` does work on threads, robust against a lack of memory for new threads.
 """
 
 from __future__ import annotations
 
+import _thread
 import os
 import pickle
 import signal
@@ -19,7 +21,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from math import inf
@@ -31,6 +33,7 @@ from .progress import UNSHOWN
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
+
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -358,3 +361,77 @@ def _interrupts_left_to_this_process() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+NO_MORE_THREADS = "can't start new thread"
+"""Message of Python's `RuntimeError` where there is too little memory, or another resource, for a thread."""
+
+
+def on_threads(
+    work: Callable[[Item], Result], parts: Iterable[Item], threads: int, over: threading.Event | None = None
+) -> list[Result]:
+    """Apply a function to each part on at most `threads` threads, the caller's included. Return the results in order.
+
+    `ThreadPoolExecutor` may wait forever for a thread that could not start for lack of memory, or that could not report
+    its end. Here, no thread is awaited that has not started. The caller's thread works too, and does all that the
+    others leave.
+
+    No thread is still working when this returns or raises, even after Ctrl-C. The event `over` is set as soon as there
+    is an exception, so that long work on other threads can stop early.
+
+    Raises
+    ------
+    MemoryError
+        A thread ended during its work without an exception.
+    Exception
+        The first exception of `work`. No further part is started after it.
+    """
+    waiting = deque(enumerate(parts))
+    parts_to_do = len(waiting)
+    found: dict[int, Result] = {}
+    failures: list[BaseException] = []
+
+    def fail(error: BaseException) -> None:
+        failures.append(error)
+        if over is not None:
+            over.set()
+
+    def do_what_waits() -> None:
+        try:
+            while waiting and not failures:
+                try:
+                    number, part = waiting.popleft()
+                except IndexError:  # another thread has taken the last one
+                    return
+                found[number] = work(part)
+        except BaseException as error:  # noqa: BLE001  raised in the caller's thread
+            fail(error)
+
+    def help_out(at_work: _thread.LockType) -> None:
+        if at_work.acquire(blocking=False):  # otherwise the caller holds it: all parts are done
+            try:
+                do_what_waits()
+            finally:
+                at_work.release()
+
+    helpers = [_thread.allocate_lock() for _ in range(min(threads, parts_to_do) - 1)]
+    begun = False
+    while True:
+        try:
+            if not begun:
+                begun = True
+                with suppress(RuntimeError):  # `NO_MORE_THREADS`
+                    for at_work in helpers:
+                        _thread.start_new_thread(help_out, (at_work,))
+                do_what_waits()
+            for at_work in helpers:
+                with at_work:
+                    pass
+            break
+        except BaseException as error:  # noqa: BLE001  raised below, once all helpers have stopped; Ctrl-C included
+            fail(error)
+    if failures:
+        raise failures[0]
+    if len(found) < parts_to_do:
+        raise MemoryError
+    return [found[number] for number in range(parts_to_do)]

@@ -13,8 +13,8 @@ import planner
 from planner import Instance, LimitError, Limits, find_instances
 from planner.batch.results_folder import SolveOptions
 from planner.system.limits import processors
+from planner.system.processes import on_threads
 from planner.system.progress import stages
-from planner.system.threads import on_threads
 
 from ...declare.options import Given
 from ..terminal.console import ExitCode, fail, note, usage_errors

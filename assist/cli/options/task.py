@@ -8,7 +8,7 @@ import click
 
 import planner
 from planner import InputFileError, Instance, find_instances
-from planner.system.compiling import compiling
+from planner.system.jit import compiling
 from planner.system.progress import compiling_line, stages
 
 from ..terminal.console import ExitCode, fail, note

@@ -22,7 +22,7 @@ from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
 from planner.grounding.fast_downward import ASTAR
 from planner.pddl.validation import validate
-from planner.system.threads import NO_MORE_THREADS
+from planner.system.processes import NO_MORE_THREADS
 
 FIELDS = [
     "instance", "domain", "status", "cost", "plan", "plan_by", "states", "transitions", "dead_ends", "max_cost_to_go",

@@ -37,8 +37,8 @@ from assist.live import Session
 from assist.person.settings import Setting
 from assist.web.service import ReadAgain
 from planner import Table
-from planner.system.compiling import announce
 from planner.system.errors import InputFileError
+from planner.system.jit import announce
 from planner.system.progress import compiling_line
 
 FAR = [[0.0, 5.0, 1.0], [5.0, 0.0, 5.0], [1.0, 5.0, 0.0]]

@@ -16,7 +16,7 @@ from assist.person.dynamics import act_readable
 from assist.person.dynamics_kernel import act_compiled
 from assist.person.people_arrays import Minds, PeopleArrays
 from assist.person.problem_arrays import Acts, ProblemArrays, read_only
-from planner.system.compiling import ReadableFirst
+from planner.system.jit import ReadableFirst
 
 VALUES = np.array([0.0, 0.3, 0.9, 1.0])
 """Values of theta; a rule that counts outcomes repeats them."""
@@ -150,7 +150,7 @@ def test_work_that_takes_a_small_share_of_the_time_is_never_worth_compiling(
 ) -> None:
     """A report of a person now and then, for a whole day; or one after the other."""
     now = [1]
-    monkeypatch.setattr("planner.system.compiling.time.monotonic_ns", lambda: now[0])
+    monkeypatch.setattr("planner.system.jit.time.monotonic_ns", lambda: now[0])
     doubled = ReadableFirst(lambda _: "readable", lambda _: "compiled", lambda work: work)
     work = doubled.enough // 1000
     for _ in range(100_000):

@@ -17,8 +17,7 @@ from test_sweep import UNLISTED, check, module, random_task
 
 from planner import Effect, Operator, Task, load
 from planner.search.invariants import PRIME, Mutexes, determined, invariants
-from planner.search.numbering import Digits
-from planner.search.transition_normal_form import split_operators
+from planner.search.numbering import Digits, split_operators
 from planner.search.variable_clusters import clusters
 
 Draft = tuple[list[int], list[int], list[tuple[dict[int, int], dict[int, int]]]]
@@ -159,7 +158,7 @@ def test_a_counted_task_has_a_dense_ranking() -> None:
     """41 thousand states of a product of 4e9: the ranking leaves little out."""
     task = load(DOMAINS / "depot" / "five-items.pddl")
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("numbering", "compiled_search"):
+        for name in ("numbering", "ranked_index"):
             patch.setattr(f"planner.search.{name}.MANY", 1 << 20)
         table = module.sweep(task, options=UNLISTED)
     assert len(table) == 41_472

@@ -17,12 +17,12 @@ from test_sweep import check as compared
 
 from planner import Effect, LimitError, Operator, Packing, Task
 from planner.costtogo.orbit_table import orbits
-from planner.search import compiled_search
+from planner.search import ranked_index
 from planner.search.invariants import Mutexes, determined, invariants
+from planner.search.numbering import TNFOperator, exactly_one, split_operators
 from planner.search.state_ranking import StateRanking
 from planner.search.state_registry import RegistrySpace
 from planner.search.successor_generator import packed_operators, ranked_operators
-from planner.search.transition_normal_form import TNFOperator, exactly_one, split_operators
 from planner.search.variable_clusters import clusters
 from planner.system.limits import Budget, Check, MemoryLimitError
 
@@ -137,8 +137,8 @@ def test_messages_say_in_which_phase_time_ended() -> None:
     for budget, how in ((LATE, "out of time"), (Budget(None, math.inf, None, stop := threading.Event()), "stopped")):
         stop.set()
         for phase, search in (
-            ("operators were split", lambda b: compiled_search.explored(task, b, 1, lambda *_: None, COMPILED)),
-            ("a ranking was looked for", lambda b: compiled_search._denser(task, None, moves_of(task), b, 0.25)),
+            ("operators were split", lambda b: ranked_index.explored(task, b, 1, lambda *_: None, COMPILED)),
+            ("a ranking was looked for", lambda b: ranked_index._denser(task, None, moves_of(task), b, 0.25)),
             ("operators were laid out", lambda b: RegistrySpace(task, b)),
         ):
             with pytest.raises(LimitError, match=f"^{how} while {phase}$"):

@@ -14,7 +14,7 @@ from test_symmetry import copies
 
 from planner import LimitError, Packing, Table, load
 from planner.costtogo.orbit_table import orbits
-from planner.search import compiled_search
+from planner.search import ranked_index
 from planner.system.limits import Budget
 
 module = importlib.import_module("planner.costtogo.table")
@@ -24,7 +24,7 @@ COMPILED = module.SweepOptions(small_states=0)
 
 def by_rank(table: Table) -> bool:
     """Whether states are numbered by ascending rank; the task has a ranking by single variables."""
-    _, coding = compiled_search._plain(table.task, Budget(None, 1e12, None, None))
+    _, coding = ranked_index._plain(table.task, Budget(None, 1e12, None, None))
     return bool((np.diff(table.values(np.arange(len(table))) @ coding.stride) > 0).all())
 
 
@@ -46,7 +46,7 @@ def test_tasks_with_few_ranks_are_numbered_by_rank() -> None:
     for task in [load("domains/kitting/paper.pddl"), *(random_task(rng) for _ in range(10))]:
         if (
             all(len(set(o.effects)) for o in task.operators)
-            and compiled_search._plain(task, Budget(None, 1e12, None, None))[1]
+            and ranked_index._plain(task, Budget(None, 1e12, None, None))[1]
         ):
             assert all(by_rank(module.sweep(task, options=options)) for options in (None, COMPILED))
 

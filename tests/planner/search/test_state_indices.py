@@ -19,7 +19,7 @@ from test_symmetry import copies
 
 from planner import Effect, LimitError, Operator, Packing, SweepOptions, Task, Variable
 from planner.costtogo.orbit_table import orbits
-from planner.search import compiled_search, ranked_index, state_registry, successor_generator
+from planner.search import ranked_index, state_registry, successor_generator
 from planner.search.ranked_index import RankedIndex
 from planner.search.state_registry import RegistryIndex
 
@@ -77,7 +77,7 @@ def many_moves(patch: pytest.MonkeyPatch) -> None:
 def many_ranks(patch: pytest.MonkeyPatch) -> None:
     """Let the dense ranking have so many ranks that states are listed first."""
     only_dense(patch)
-    patch.setattr(compiled_search, "MANY", 0)
+    patch.setattr(ranked_index, "MANY", 0)
 
 
 WAYS: dict[str, tuple[Callable[[pytest.MonkeyPatch], object], SweepOptions]] = {

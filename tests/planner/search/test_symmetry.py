@@ -40,8 +40,7 @@ from planner.costtogo import on_demand
 from planner.costtogo.orbit_table import OrbitTable, orbits
 from planner.costtogo.verification import check_successors
 from planner.grounding.semantics import plan_cost, replay
-from planner.search.automorphisms import Symmetries, symmetries
-from planner.search.canonical_states import Forms, canonical
+from planner.search.automorphisms import Forms, Symmetries, canonical, symmetries
 
 
 def switches(costs: list[int], goal: Iterable[int], initial: list[int] | None = None) -> Task:

@@ -28,7 +28,7 @@ from assist.studies.runner import run_study
 from assist.team import TeamAction, TeamState
 from planner import Instance, Table, cost_to_go, sweep
 from planner.system import jit, progress
-from planner.system.compiling import compiling
+from planner.system.jit import compiling
 from planner.system.processes import outcomes
 
 

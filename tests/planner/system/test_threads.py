@@ -15,8 +15,8 @@ import pytest
 from conftest import KITTING
 
 from planner.search.state_registry import GrowingArray, StateRegistry
-from planner.system import threads
-from planner.system.threads import on_threads
+from planner.system import processes
+from planner.system.processes import on_threads
 
 
 def test_every_part_is_done_once_and_in_order() -> None:
@@ -62,7 +62,7 @@ def refuse(*_: object) -> int:
 def test_threads_that_do_not_begin_are_not_waited_for(
     start: Callable[..., int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(threads._thread, "start_new_thread", start)
+    monkeypatch.setattr(processes._thread, "start_new_thread", start)
     assert on_threads(str, range(5), 3) == ["0", "1", "2", "3", "4"]
 
 
