@@ -6,7 +6,7 @@ Each instance has a number, which is the seed of everything in it: a small task 
 files (`random_writing.py`), and a fault in every second one. The task is grounded and solved by brute force from what
 was drawn, not from the files. Without a fault, the files must be read. This project's cost and number of reachable
 states must then agree with brute force, as must Dijkstra's algorithm on the translator's grounded task with
-`planner.grounding.semantics`, and the plan's cost when it is executed by the meaning of the files. With a fault, the
+`planner.grounding.task`, and the plan's cost when it is executed by the meaning of the files. With a fault, the
 files must be refused with file and line, or have the same answer if the fault is harmless.
 Anything else is a violation; it is printed, and the exit code is 1.
 """
@@ -32,7 +32,7 @@ from random_tasks import Drawn
 from tables import Columns, cell, record_option, write_record
 
 from planner import Instance, PDDLError, Task, astar, load, sweep
-from planner.grounding.semantics import derived, replay, successors
+from planner.grounding.task import derived, replay, successors
 from planner.pddl.plan_execution import execute
 
 

@@ -12,11 +12,11 @@ from .costtogo.on_demand import Cache as Cache
 from .costtogo.on_demand import OnDemand as OnDemand
 from .costtogo.portfolio import cost_to_go as cost_to_go
 from .costtogo.portfolio import known_costs as known_costs
+from .costtogo.table import SavedTable as SavedTable
 from .costtogo.table import Table as Table
+from .costtogo.table import open_table as open_table
+from .costtogo.table import save_table as save_table
 from .costtogo.table import sweep as sweep
-from .costtogo.table_file import SavedTable as SavedTable
-from .costtogo.table_file import open_table as open_table
-from .costtogo.table_file import save_table as save_table
 from .costtogo.verification import verify as verify
 from .grounding.fast_downward import FastDownwardError as FastDownwardError
 from .grounding.task import Effect as Effect
@@ -28,7 +28,7 @@ from .pddl.instance_finder import instance as instance
 from .pddl.instances import Instance as Instance
 from .pddl.instances import PDDLError as PDDLError
 from .search.numbering import SweepOptions as SweepOptions
-from .search.packing import Packing as Packing
+from .search.state_space import Packing as Packing
 from .search.state_space import StateSpace as StateSpace
 from .search.state_space import Transitions as Transitions
 from .system.errors import InputFileError as InputFileError

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import Effect, Operator, Variable, instance
-from planner.grounding.semantics import derived, successors
-from planner.grounding.task import Fact, Task
+from planner.grounding.task import Fact, Task, derived, successors
 from planner.search.state_space import UNREACHED, Part, StateSpace
 from planner.system.arrays import Ints
 

@@ -18,18 +18,18 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": "errors arrays results files limits signs progress processes jit",
+    "planner.system": "errors arrays results files limits progress processes jit",
     "planner.pddl": """instances instance_finder declarations numeric_expressions formulas reader conditions
         compilation recursion timed_schemas durative static_facts metric numeric_schemas value_sets saturation
         value_ranges value_encoder value_scope numeric_encoding numeric_compiler writer validation plan_execution
         built_problems""",
-    "planner.grounding": "fast_downward task translation semantics",
+    "planner.grounding": "fast_downward task translation",
     "planner.search.kernels": "packed_successors state_sets ranked_successors block_steps",
-    "planner.search": """packing state_space search_space sorted_space numbering invariants
+    "planner.search": """state_space search_space sorted_space numbering invariants
         variable_clusters state_ranking automorphisms successor_generator state_registry
         ranked_index""",
     "planner.costtogo": """trial_states number_values load cost_to_go table astar verification goal_tables
-        orbit_table table_file on_demand portfolio""",
+        orbit_table on_demand portfolio""",
     "planner.batch": "results_folder solve_instance solve_batch",
     "planner": "engine",
     "assist.declare": "declared rows tables options catalogue refusals",

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 
-from planner.grounding.semantics import derived
+from planner.grounding.task import derived
 from planner.pddl.instances import Expression, PDDLError, nested
 from planner.system.errors import InputFileError
 

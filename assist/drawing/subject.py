@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner import Task, task_of
-from planner.grounding.semantics import derived, successors
+from planner.grounding.task import derived, successors
 from planner.pddl.instances import Expression, PDDLError
 from planner.pddl.numeric_expressions import as_shown
 from planner.pddl.reader import Domain, Rule, read

@@ -19,10 +19,9 @@ from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from planner.system.arrays import read_only
-from planner.system.errors import InputFileError
+from planner.system.errors import InputFileError, plain
 from planner.system.files import bytes_of
 from planner.system.results import Result
-from planner.system.signs import plain
 
 from ..declare.declared import AnyText, DeclarationError, Expected, Number, Text, declared, sentences
 from ..people.decision import Floats

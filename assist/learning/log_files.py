@@ -19,9 +19,8 @@ from unicodedata import category
 
 import numpy as np
 
-from planner.system.errors import InputFileError
+from planner.system.errors import InputFileError, plain
 from planner.system.files import bytes_of
-from planner.system.signs import plain
 
 from ..people.action_names import words_of, wrong_form
 from .log_json import read_json

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from planner.system.signs import changed, plain
+from planner.system.errors import changed, plain
 
 Names = tuple[str, str]
 """A person and one of their episodes."""

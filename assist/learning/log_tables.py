@@ -6,7 +6,7 @@ import csv
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
-from planner.system.signs import plain
+from planner.system.errors import plain
 
 from .log_rows import Broken, Names, Row, Taken
 

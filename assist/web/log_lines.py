@@ -10,7 +10,7 @@ import logging
 from datetime import UTC, datetime
 from typing import Literal
 
-from planner.system.signs import visible
+from planner.system.errors import visible
 
 USUAL = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 """Attributes of every log record; others are fields that the caller has added (`extra`)."""

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from ..costtogo.astar import Answer, Early, search_of
 from ..costtogo.number_values import grounded
 from ..grounding.fast_downward import FastDownwardError
-from ..grounding.semantics import plan_cost, replay
-from ..grounding.task import Task
+from ..grounding.task import Task, plan_cost, replay
 from ..pddl.compilation import NO_SEQUENTIAL_PLAN
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.plan_execution import execute
@@ -438,7 +437,7 @@ def _save(place: Path, task: Task, table: Table | None, plan: list[str] | None, 
     table_file, plan_file = saved_files(place)
     with phases.phase("save", "saving"):
         if table is not None:
-            from ..costtogo.table_file import save_table
+            from ..costtogo.table import save_table
 
             save_table(table_file, table)
         if plan is not None:

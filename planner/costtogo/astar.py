@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..grounding import fast_downward
 from ..grounding.fast_downward import FastDownwardError
-from ..grounding.semantics import plan_cost, replay
-from ..grounding.task import Effect, Operator, Task, Variable
-from ..search.packing import can_hold
+from ..grounding.task import Effect, Operator, Task, Variable, plan_cost, replay
+from ..search.state_space import can_hold
 from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits, MemoryLimitError, available_memory, used_mb
 from .cost_to_go import Plan

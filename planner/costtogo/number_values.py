@@ -11,7 +11,7 @@ is a state of the original task, and the applicable actions and their effects ar
 beyond. There are none, so that the states after one more action are the same.
 
 The values are then known to be all, and are compiled as such. Where there are too many states to enumerate, or no trial
-is closed, the task keeps its beyond facts. It is no longer swept, and its states are solved on demand (`leaving`). A
+is closed, the task keeps its beyond facts. It is no longer swept, and its states are solved on demand (`astar`). A
 trial is then large enough if a plan from the initial state is optimal within it. If no trial is, the number is refused.
 
 Trials end after numbers of states, operators and facts, never because time is short: a file has the same values

@@ -30,14 +30,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding import fast_downward
-from ..grounding.semantics import derived, plan_cost
-from ..grounding.task import Task
+from ..grounding.task import Task, derived, plan_cost
 from ..search.kernels import packed_successors
 from ..search.kernels.packed_successors import PackedOperators
-from ..search.packing import Packing, holds
 from ..search.sorted_space import Successors
 from ..search.state_registry import StateRegistry
-from ..search.state_space import UNREACHED, Transitions, joined, state_numbers
+from ..search.state_space import UNREACHED, Packing, Transitions, holds, joined, state_numbers
 from ..search.successor_generator import Expanded, expanded, packed_operators
 from ..system.arrays import Ints, Words
 from ..system.errors import UnsuitedError

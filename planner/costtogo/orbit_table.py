@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from ..grounding.task import Task
 from ..search.automorphisms import Forms, canonical, symmetries
-from ..search.packing import Packing
 from ..search.search_space import distances, explore
 from ..search.state_registry import RegistryIndex, RegistrySpace
-from ..search.state_space import EXACT, UNREACHED, StateSpace, as_floats, compact, is_dead_end
+from ..search.state_space import EXACT, UNREACHED, Packing, StateSpace, as_floats, compact, is_dead_end
 from ..system.arrays import Words, outline
 from ..system.limits import Budget, LimitError, processors
 from ..system.progress import Progress

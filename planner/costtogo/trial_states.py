@@ -8,12 +8,11 @@ from fractions import Fraction
 
 import numpy as np
 
-from ..grounding.semantics import derived
-from ..grounding.task import Task
+from ..grounding.task import Task, derived
 from ..pddl.numeric_expressions import Number, whole
 from ..pddl.value_sets import Fluent
-from ..search.packing import Packing, holds
 from ..search.state_registry import RegistrySpace, StateRegistry
+from ..search.state_space import Packing, holds
 from ..search.successor_generator import Expanded, expanded, packed_operators
 from ..system.arrays import Ints
 from ..system.errors import UnsuitedError

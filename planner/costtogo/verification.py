@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..grounding import semantics
 from ..grounding.fast_downward import FastDownwardError
+from ..grounding.task import steps_along, successors
 from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, LimitError, Limits
 from .astar import astar
@@ -118,7 +118,7 @@ def check_successors(table: Table, count: int, rng: np.random.Generator, *, seco
         if all(values[variable] == value for variable, value in task.goal):
             least = np.zeros(1)
         else:
-            after = semantics.successors(task, values)
+            after = successors(task, values)
             targets = np.array(list(after.values()), dtype=np.int64).reshape(len(after), len(values))
             try:
                 least = np.array([task.costs[action] for action in after]) + table.whole(space.numbers(targets))
@@ -137,7 +137,7 @@ def check_plan(known: CostToGo, plan: Sequence[str]) -> int:
     `MismatchError`.
     """
     task = known.task
-    values, costs = semantics.steps_along(task, plan)
+    values, costs = steps_along(task, plan)
     rest = np.append(np.cumsum(costs[::-1], dtype=np.int64)[::-1], 0)
     try:
         found = known.whole(known.numbers(np.array(values, dtype=np.int64)))

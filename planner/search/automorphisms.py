@@ -36,7 +36,7 @@ from ..grounding.task import Fact, Task
 from ..system.arrays import Ints, Words, padded
 from ..system.errors import UnsuitedError
 from ..system.jit import njit
-from .packing import Packing
+from .state_space import Packing
 
 Colors = NDArray[np.uint64]
 

@@ -24,8 +24,7 @@ from ..grounding.task import Fact, Task
 from ..system.arrays import Ints, Words, outline
 from ..system.errors import UnsuitedError
 from ..system.limits import Budget
-from .packing import Packing, Rule, axiom_stages, grouped, holds, possible_operators
-from .state_space import Part
+from .state_space import Packing, Part, Rule, axiom_stages, grouped, holds, possible_operators
 
 MOST_STATES = 100_000
 """States up to which a task is small. Their search takes a fifth of a second, compiling takes five."""

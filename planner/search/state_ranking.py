@@ -29,7 +29,7 @@ from ..system.limits import Check, unchecked
 from .invariants import Determined, Mutexes, determined
 from .kernels.ranked_successors import FIELD_BITS, FIELDS, NOWHERE, PRIME, UnrankingTables, decode_all
 from .numbering import Digits, Sum, TNFOperator
-from .packing import Packing
+from .state_space import Packing
 from .variable_clusters import Cluster, clusters
 
 

@@ -20,9 +20,8 @@ from ..system.limits import Budget, LimitError
 from .automorphisms import Forms, canonical
 from .kernels import block_steps, packed_successors, state_sets
 from .kernels.packed_successors import PackedOperators
-from .packing import Packing, holds
 from .search_space import relaxed
-from .state_space import Part
+from .state_space import Packing, Part, holds
 from .successor_generator import TRANSITIONS_AT_A_TIME, Expanded, expanded, packed_operators
 
 FEW = 1 << 13

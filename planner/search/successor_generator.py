@@ -22,8 +22,8 @@ from .kernels import packed_successors
 from .kernels.packed_successors import DecisionTree, PackedOperators, Rules
 from .kernels.ranked_successors import ApplicableSets, RankedOperators
 from .numbering import TNFOperator
-from .packing import Packing, Rule, axiom_stages, grouped, possible_operators
 from .state_ranking import StateRanking
+from .state_space import Packing, Rule, axiom_stages, grouped, possible_operators
 
 
 class _DecisionTreeBuilder:

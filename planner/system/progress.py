@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any, NamedTuple, TypeVar, cast
 
-from .signs import VisibleText, visible
+from .errors import VisibleText, visible
 
 Progress = Callable[[str, int, int | None], None]
 """Receives the description of a stage, the number of items done, and their total (None if it is unknown)."""

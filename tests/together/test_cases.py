@@ -13,7 +13,7 @@ from conftest import invoke, thinned, understood
 from assist.live import Assistant
 from planner import PDDLError, cost_to_go, find_instances, instance, load
 from planner.engine import Engine
-from planner.grounding.semantics import plan_cost
+from planner.grounding.task import plan_cost
 
 DOMAIN = """(define (domain packing)
   (:requirements :strips :typing :action-costs)

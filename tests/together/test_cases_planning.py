@@ -23,7 +23,7 @@ from planner.batch.results_folder import SWEEPING, SolveOptions
 from planner.batch.solve_instance import solve_instance
 from planner.costtogo.verification import check_plan
 from planner.grounding import fast_downward
-from planner.grounding.semantics import plan_cost
+from planner.grounding.task import plan_cost
 from planner.pddl import validation
 from planner.pddl.validation import LATE
 

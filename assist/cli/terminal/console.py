@@ -16,9 +16,8 @@ import click
 
 from planner import LimitError, PDDLError
 from planner.grounding.fast_downward import FastDownwardError
-from planner.system.errors import InputFileError, MissingExtraError, in_words
+from planner.system.errors import InputFileError, MissingExtraError, VisibleText, in_words, visible
 from planner.system.processes import NO_MORE_THREADS
-from planner.system.signs import VisibleText, visible
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions

@@ -21,8 +21,8 @@ from recorded import lines, write_log
 
 from assist.cli import main
 from assist.web.log_lines import JsonLines, TextLines
+from planner.system.errors import VisibleText, visible
 from planner.system.progress import stages
-from planner.system.signs import VisibleText, visible
 
 EVIL = "red\x1b]0;title\x07\x9b2J\r\u202egnp"
 SHOWN = r"red\x1b]0;title\x07\x9b2J\r\u202egnp"

@@ -21,7 +21,7 @@ from assist.learning.log_files import DASHES, MISSING
 from assist.learning.replay import replay
 from assist.people.action_names import words_of
 from planner import Table, load, sweep
-from planner.system.signs import plain
+from planner.system.errors import plain
 
 BASE = lines(FETCH, RIGHT, BACK, told={1: RIGHT})
 HEAD = "person,episode,step,action,suggestion\n"

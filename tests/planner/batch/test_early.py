@@ -25,7 +25,7 @@ from planner.batch.solve_batch import solve_batch
 from planner.batch.solve_instance import solve_instance
 from planner.costtogo.astar import Early
 from planner.grounding import fast_downward
-from planner.grounding.semantics import plan_cost
+from planner.grounding.task import plan_cost
 from planner.system.limits import Budget, MemoryLimitError
 
 TINY = KITTING / "tiny.pddl"

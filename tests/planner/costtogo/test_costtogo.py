@@ -28,7 +28,7 @@ from planner.costtogo import goal_tables, verification
 from planner.costtogo.cost_to_go import optimal_choices
 from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
-from planner.grounding.semantics import plan_cost
+from planner.grounding.task import plan_cost
 from planner.grounding.translation import from_sas
 from planner.pddl.compilation import Compilation
 from planner.pddl.reader import Reading

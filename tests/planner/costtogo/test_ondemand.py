@@ -20,7 +20,7 @@ from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Ta
 from planner.costtogo import portfolio
 from planner.costtogo.astar import fastest_search
 from planner.grounding.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
-from planner.grounding.semantics import plan_cost
+from planner.grounding.task import plan_cost
 
 HUGE = KITTING / "ladder-6x12.pddl"
 

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 from planner import Instance, LimitError, Limits, Packing, Table, Task, Variable, astar, instance, load, sweep, verify
 from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
-from planner.grounding.semantics import plan_cost
+from planner.grounding.task import plan_cost
 
 WITH_STATES = solvable(SMALL)
 

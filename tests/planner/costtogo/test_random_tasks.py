@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from planner import astar, load, sweep, verify
-from planner.grounding.semantics import plan_cost
+from planner.grounding.task import plan_cost
 
 ATOMS = [f"(p{i})" for i in range(5)]
 some_atoms = st.lists(st.sampled_from(ATOMS), max_size=2, unique=True)

@@ -13,7 +13,7 @@ from assist.people.choices import Choices
 from planner import Instance, OnDemand, Task, astar, sweep, verify
 from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
-from planner.grounding.semantics import replay
+from planner.grounding.task import replay
 from planner.grounding.translation import from_sas, in_the_files_terms
 from planner.pddl.compilation import Compilation
 from planner.pddl.reader import read

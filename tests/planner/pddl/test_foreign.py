@@ -10,7 +10,7 @@ from conftest import write_instance
 
 from planner import MismatchError, load, sweep, verify
 from planner.batch.solve_instance import solve_instance
-from planner.grounding.semantics import replay
+from planner.grounding.task import replay
 from planner.pddl import plan_execution
 
 # Wires between places are closed and opened; a lamp is lit if a closed path connects it to the source.

@@ -1,4 +1,4 @@
-"""All searches give one task the same table: that of a plain search by `semantics`, state by state."""
+"""All searches give one task the same table: that of a plain search by the reference semantics, state by state."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ from planner.batch.solve_instance import solve_instance
 from planner.costtogo import on_demand
 from planner.costtogo.orbit_table import OrbitTable, orbits
 from planner.costtogo.verification import check_successors
-from planner.grounding.semantics import plan_cost, replay
+from planner.grounding.task import plan_cost, replay
 from planner.search.automorphisms import Forms, Symmetries, canonical, symmetries
 
 
