@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import math
-import os
 import re
 import signal
 import subprocess
@@ -175,18 +174,9 @@ def _output(process: subprocess.Popen[str], limits: Limits) -> str:
     """Wait for the program to end, and return its output."""
     # Longest timeout of one system call in seconds: it counts milliseconds in a 32-bit integer.
     longest_wait = 2_000_000.0
-    last = 19  # nice value of the lowest scheduling priority
-    begun = time.monotonic()
-    end = math.inf if limits.seconds is None else begun + limits.seconds
-    later = limits.lower_priority_after
-    lower_at = math.inf if later is None else begun + later
+    end = math.inf if limits.seconds is None else time.monotonic() + limits.seconds
     while True:
-        now = time.monotonic()
-        if now >= lower_at:
-            lower_at = math.inf
-            with suppress(OSError):  # the program has ended
-                os.setpriority(os.PRIO_PROCESS, process.pid, last)
-        wait = min(end - now, lower_at - now, math.inf if limits.stop is None else 0.02)
+        wait = min(end - time.monotonic(), math.inf if limits.stop is None else 0.02)
         try:
             return process.communicate(timeout=None if wait > longest_wait else max(wait, 0.0))[0]
         except subprocess.TimeoutExpired:

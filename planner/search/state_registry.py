@@ -106,14 +106,14 @@ class StateRegistry:
                 return self._numbers_of_few(states, self._few)
             if self._few is not None:
                 self._few = None
-                state_sets.fill_slots(self.slots, self._states.rows, 0, self._held)
+                state_sets.fill_slots(self.slots, self._states.rows, self._held)
         full = 0.7  # load factor above which the hash table is enlarged. Higher saves memory, and makes lookups slower
         with self._lock:
             most = self._held + len(states)
             self._states.make_room(most)
             if most > full * len(self.slots):
                 self.slots = np.zeros(1 << int(most / full * 2).bit_length(), dtype=np.uint64)
-                state_sets.fill_slots(self.slots, self._states.rows, 0, self._held)
+                state_sets.fill_slots(self.slots, self._states.rows, self._held)
             numbers = np.empty(len(states), dtype=np.int32)
             self._held = state_sets.insert(self.slots, self._states.rows, self._held, states, numbers)
         if self._held > MOST:

@@ -99,13 +99,13 @@ class Projections:
         sizes = self.sizes[columns]
         slots, queue = np.zeros(1 << 10, dtype=np.uint64), np.empty((1 << 9, 1), dtype=np.uint64)
         queue[0] = self.initial[columns] @ factors
-        fill_slots(slots, queue, 0, 1)
+        fill_slots(slots, queue, 1)
         done, seen = 0, 1
         step = STEPS_PER_CHECK // (after.size + 1) + 1
         while done < seen:
             if seen == len(queue):
                 slots = np.zeros(2 * len(slots), dtype=np.uint64)
-                fill_slots(slots, queue, 0, seen)
+                fill_slots(slots, queue, seen)
                 queue = np.concatenate([queue, np.empty_like(queue)])
             self.check(self.in_use + 2 * (after.nbytes + allowed.nbytes) + 2 * (slots.nbytes + queue.nbytes))
             stop = min(seen, done + step)

@@ -139,11 +139,6 @@ def write_text(file: Path, texts: Iterable[str]) -> None:
         stream.writelines(texts)
 
 
-def append_record(file: Path, record: Mapping[str, Any]) -> None:
-    """Append a record to a JSON Lines file, and wait until it is on disk."""
-    append(file, json.dumps(record) + "\n")
-
-
 def append(file: Path, text: str) -> None:
     """Append whole lines to a file, all or none, and wait until they are on disk.
 
@@ -178,17 +173,7 @@ def read_records(file: Path) -> list[dict[str, Any]]:
 
 
 def bytes_of(file: Path) -> bytes:
-    """Return the bytes of a file that a user has named.
-
-    Parameters
-    ----------
-    file : Path
-
-    Raises
-    ------
-    InputFileError
-        There is no such file, or it cannot be read.
-    """
+    """Return the bytes of a file that a user has named; an `InputFileError` says why it cannot be read."""
     try:
         return file.read_bytes()
     except FileNotFoundError:
@@ -198,17 +183,7 @@ def bytes_of(file: Path) -> bytes:
 
 
 def read_json(file: Path) -> Any:
-    """Return the content of a JSON file.
-
-    Parameters
-    ----------
-    file : Path
-
-    Raises
-    ------
-    InputFileError
-        There is no such file, it cannot be read, or it has no JSON.
-    """
+    """Return the content of a JSON file; an `InputFileError` says why it cannot be read, or where it has no JSON."""
     data = bytes_of(file)
     if not data.strip():
         raise InputFileError.of(file, None, "the file is empty; expected JSON")
@@ -223,14 +198,7 @@ def read_json(file: Path) -> Any:
 
 
 def no_such(file: Path, what: str = "no such file") -> str:
-    """Return what is said of a path that does not exist, with the most similar name in its folder.
-
-    Parameters
-    ----------
-    file : Path
-    what : str
-        How the sentence begins.
-    """
+    """Return what is said of a path that does not exist, beginning with `what`: the most similar name in its folder."""
     near: list[str] = []
     with suppress(OSError, ValueError):  # there is no such folder, or no path can have this name
         others = sorted(one.name for one in file.parent.iterdir() if one.name != file.name)
@@ -270,12 +238,8 @@ def _record(file: Path, number: int, line: bytes) -> dict[str, Any]:
 def held(folder: Path) -> Iterator[None]:
     """Create a folder if it is not there, and hold it as the only run that writes results into it.
 
-    Where it cannot be created, opened or locked, nothing is held: what is written into it then says why.
-
-    Raises
-    ------
-    InputFileError
-        Another run holds it.
+    Where it cannot be created, opened or locked, nothing is held: what is written into it then says why. An
+    `InputFileError` says that another run holds it.
     """
     with ExitStack() as opened:
         try:
@@ -335,7 +299,7 @@ class ResumableFolder(Generic[Key]):
 
     def add(self, item: Key, lines: str, record: Mapping[str, Any]) -> None:
         """Store the results of an item that is complete; they replace earlier ones."""
-        append_record(self._beside, record)  # first: without it, lines may not be kept
+        append(self._beside, json.dumps(record) + "\n")  # first: without it, lines may not be kept
         append(self._results, lines)
         self.lines[item], self.records[item] = lines, record
 

@@ -55,12 +55,7 @@ class ReadableFirst:
     that waits for people, nothing can be saved, and it remains in use: somebody would wait for the compiler, which also
     takes 100 MB.
 
-    Parameters
-    ----------
-    readable, compiled : callable
-        The two definitions; results do not depend on which one is used.
-    work : callable
-        Returns about how many nanoseconds the readable definition takes, from the arguments.
+    `work` returns about how many nanoseconds the readable definition takes, from the arguments.
     """
 
     enough = 1_000_000_000

@@ -297,8 +297,6 @@ class Limits:
         Memory in megabytes.
     stop : StopSignal or None
         Flag that ends the call when it is set, such as a `threading.Event`.
-    lower_priority_after : float or None
-        Seconds after which the process gets the lowest scheduling priority.
     processor_seconds : float or None
         Processor time of the process, which does not depend on the load of the machine.
     """
@@ -306,7 +304,6 @@ class Limits:
     seconds: float | None = None
     memory_mb: float | None = None
     stop: StopSignal | None = None
-    lower_priority_after: float | None = None
     processor_seconds: float | None = None
 
     def ended_by(self, over: StopSignal) -> Limits:

@@ -154,9 +154,9 @@ def look_up(slots, states, block, numbers):
 
 
 @njit(nogil=True, error_model="numpy")
-def fill_slots(slots, states, first, stop):
-    """Insert the distinct states `states[first:stop]` into the slots, which have room."""
-    for number in range(first, stop):
+def fill_slots(slots, states, stop):
+    """Insert the distinct states `states[:stop]` into the slots, which have room."""
+    for number in range(stop):
         mixed = hash_of(states[number])
         at = place_of(slots, mixed)
         while slots[at] != 0:

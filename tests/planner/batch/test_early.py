@@ -176,13 +176,6 @@ def never(*_: object, limits: Limits, **__: object) -> None:
     raise LimitError("Fast Downward was stopped")
 
 
-def test_a_search_that_lasts_lets_other_work_go_first(tmp_path: Path) -> None:
-    waits = ["sh", "-c", "while [ $(cut -d ' ' -f 19 /proc/self/stat) != 19 ]; do sleep 0.01; done; echo lowered"]
-    assert fast_downward._run(waits, str(tmp_path), "", Limits(seconds=60, lower_priority_after=0.0))[1] == "lowered\n"
-    nice = ["cut", "-d", " ", "-f", "19", "/proc/self/stat"]
-    assert fast_downward._run(nice, str(tmp_path), "", Limits(seconds=60, lower_priority_after=50.0))[1].strip() != "19"
-
-
 def test_a_comparison_that_is_over_leaves_no_search_behind(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     """A search that never ends is stopped with the time for all: otherwise this test would not end."""
     monkeypatch.setattr(fast_downward, "ASTAR", "astar(blind(),max_time=infinity)")
