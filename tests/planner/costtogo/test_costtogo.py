@@ -59,6 +59,7 @@ def test_a_table_by_hand(table: Table, node: dict[int, int], start: int) -> None
     assert table.is_goal([state]).tolist() == [start == 0]
     assert table.dead_end[state] == (start in (5, 6))
     plan = table.optimal_plan(state)
+    assert start != 1 or table.optimal_plan() == plan == ["(go 001)", "(go 002)"]
     if start in (5, 6):
         assert plan is None
         return
@@ -69,11 +70,6 @@ def test_a_table_by_hand(table: Table, node: dict[int, int], start: int) -> None
         assert origin == at
         at, paid = at_next, paid + cost
     assert (at, paid, len(plan)) == (0, H[start], LENGTHS[start])
-
-
-def test_a_plan_begins_in_the_initial_state_unless_told_otherwise(table: Table) -> None:
-    assert table.optimal_plan() == table.optimal_plan(table.initial) == ["(go 001)", "(go 002)"]
-    assert sweep(graph_task(EDGES, start=4)).optimal_plan() == ["(go 005)"]
 
 
 def test_optimal_choices_by_hand(table: Table, node: dict[int, int]) -> None:
@@ -107,9 +103,6 @@ def test_distances_are_kept_in_the_smallest_type_with_room_for_dead_ends() -> No
         kept = compact(np.array([0, UNREACHED, largest]))
         assert kept.dtype == kind
         assert kept.tolist() == [0, np.iinfo(kind).max, largest]
-
-
-def test_a_table_without_any_finite_cost() -> None:
     assert compact(np.full(3, UNREACHED)).tolist() == [255, 255, 255]
     assert compact(np.empty(0, dtype=np.int64)).dtype == np.uint8
 
@@ -135,11 +128,8 @@ def test_a_task_without_actions() -> None:
     assert elsewhere[elsewhere.initial] == np.inf
 
 
-def test_a_table_is_swept_and_searches_for_nothing(table: Table) -> None:
+def test_a_table_cannot_be_written_into_and_searches_for_nothing(table: Table) -> None:
     assert (table.method, table.searches) == ("sweep", False)
-
-
-def test_a_table_cannot_be_written_into(table: Table) -> None:
     with pytest.raises(ValueError, match="read-only"):
         table.distance[0] = 0
 
@@ -288,6 +278,13 @@ NUMBER = "(define (problem p) (:domain d) (:init (= (n) 2)) (:goal {}))"
 OF_COUNTS = ["(and (q) (= (n) 5))", "(>= (n) 4)", "(not (<= (n) 3))", "(or (q) (> (n) 5))"]
 
 
+def of_goals(folder: Path, domain: str, problem: str, goals: list[str]) -> list[Task]:
+    """Load a problem with each of several goals."""
+    return [
+        load(write_instance(folder / str(number), domain, problem.format(goal))) for number, goal in enumerate(goals)
+    ]
+
+
 def costs_by_facts(table: Table) -> dict[tuple[str, ...], float]:
     found = {tuple(table.space.facts(state)): table[state] for state in range(len(table))}
     assert len(found) == len(table)
@@ -301,10 +298,7 @@ def test_goals_of_any_form_have_tables_on_one_enumeration(
     domain: str, problem: str, goals: list[str], tmp_path: Path
 ) -> None:
     """Each table is that of a sweep of its goal alone, state by state, and what A* finds."""
-    tasks = []
-    for number, goal in enumerate(goals):
-        (tmp_path / str(number)).mkdir()
-        tasks.append(load(write_instance(tmp_path / str(number), domain, problem.format(goal))))
+    tasks = of_goals(tmp_path, domain, problem, goals)
     tables = sweep_goals(tasks)
     assert len({id(table.space.numbering) for table in tables}) == 1
     for task, table in zip(tasks, tables, strict=True):
@@ -327,10 +321,7 @@ def test_goals_with_derived_predicates_have_the_tables_and_facts_of_a_sweep_alon
     off: str, shared: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The others share an enumeration. Only these are grounded anew, each once to compare and once with its rule."""
-    tasks = []
-    for number, goal in enumerate(OF_LAMPS):
-        (tmp_path / str(number)).mkdir()
-        tasks.append(load(write_instance(tmp_path / str(number), LAMPS.replace("LIT", off), ROW.format(goal))))
+    tasks = of_goals(tmp_path, LAMPS.replace("LIT", off), ROW, OF_LAMPS)
     made, ground = [], goal_tables.grounded
     monkeypatch.setattr(goal_tables, "grounded", lambda *of: made.append(of) or ground(*of))
     tables = sweep_goals(tasks)
@@ -341,10 +332,7 @@ def test_goals_with_derived_predicates_have_the_tables_and_facts_of_a_sweep_alon
 
 
 def test_the_time_limit_holds_for_all_groundings_of_goals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tasks = []
-    for number, goal in enumerate(OF_BOXES):
-        (tmp_path / str(number)).mkdir()
-        tasks.append(load(write_instance(tmp_path / str(number), MOVES, BOXES.format(goal))))
+    tasks = of_goals(tmp_path, MOVES, BOXES, OF_BOXES)
     clock, given, ground = [0.0], [], goal_tables.grounded
 
     def slow(reading: Reading, limits: Limits) -> tuple[Compilation, Task]:
@@ -360,10 +348,7 @@ def test_the_time_limit_holds_for_all_groundings_of_goals(tmp_path: Path, monkey
 
 
 def test_a_goal_that_was_made_in_python_is_not_read_from_its_file(tmp_path: Path) -> None:
-    tasks = []
-    for number, goal in enumerate(["(at a z)", "(not (at a x))"]):
-        (tmp_path / str(number)).mkdir()
-        tasks.append(load(write_instance(tmp_path / str(number), MOVES, BOXES.format(goal))))
+    tasks = of_goals(tmp_path, MOVES, BOXES, ["(at a z)", "(not (at a x))"])
     variable = next(n for n, each in enumerate(tasks[0].variables) if "Atom seen(b)" in each.facts)
     seen = replace(tasks[0], goal=((variable, tasks[0].variables[variable].facts.index("Atom seen(b)")),))
     table = sweep_goals([seen, tasks[1]])[0]

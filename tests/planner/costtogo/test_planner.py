@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import DOMAINS, KITTING, SMALL, kit, named, solvable, table_of, thinned, understood, write_instance
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from planner import Instance, LimitError, Limits, Packing, Table, Task, Variable, astar, instance, load, sweep, verify
+from planner import Instance, LimitError, Limits, Table, astar, instance, load, sweep, verify
 from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
 from planner.grounding.task import plan_cost
@@ -88,13 +86,6 @@ def arrangements(items: int, slots: int) -> int:
     from math import comb, factorial
 
     return sum(comb(items, k) * comb(slots, k) * factorial(k) for k in range(min(items, slots) + 1))
-
-
-def test_dead_ends_are_proven_by_fast_downward(sealed: Table) -> None:
-    dead = np.flatnonzero(sealed.dead_end)
-    for state in np.random.default_rng(3).choice(dead, 8, replace=False):
-        assert astar(sealed.space.task, sealed.values([state])[0].tolist()) == (float("inf"), None)
-        assert sealed.optimal_plan(int(state)) is None
 
 
 def test_transitions_equal_unified_plannings(tiny: Table) -> None:
@@ -181,14 +172,6 @@ def test_conditional_effects_quantifiers_disjunctions_axioms_and_zero_costs(tmp_
         assert plan_cost(task, plan) == table[int(state)]
 
 
-def test_an_action_with_several_operators_is_one_choice(tmp_path: Path) -> None:
-    space = sweep(load(write_instance(tmp_path, LAMPS, LAMPS_PROBLEM))).space
-    operators = [operator.action for operator in space.task.operators]
-    assert len(operators) > len(set(operators))
-    pairs = np.stack([space.sources, space.transitions.actions], axis=1)
-    assert len(np.unique(pairs, axis=0)) == len(pairs)
-
-
 def test_an_empty_goal_and_a_goal_that_holds(tmp_path: Path) -> None:
     domain, problem = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
     start = problem[: problem.index("(:goal")]
@@ -197,42 +180,6 @@ def test_an_empty_goal_and_a_goal_that_holds(tmp_path: Path) -> None:
         assert len(table.space) == 21
         assert table[table.initial] == 0
         assert verify(table, 30, np.random.default_rng(0)) == 21
-
-
-COUNTERS = """
-(define (domain bits) (:requirements :strips :negative-preconditions) (:predicates (up ?b) (idle))
-  (:action raise :parameters (?b) :precondition (and (not (up ?b)) (idle)) :effect (up ?b))
-  (:action stop :parameters () :precondition (idle) :effect (not (idle))))
-"""
-
-
-def test_states_of_more_than_64_bits(tmp_path: Path) -> None:
-    """A hundred switches of which three can be raised: the states need two words."""
-    names = [f"b{i}" for i in range(100)]
-    up = " ".join(f"(up {b})" for b in names[3:])
-    start = f"(define (problem p) (:domain bits) (:objects {' '.join(names)}) (:init {up} (idle))"
-    problem = f"{start} (:goal (and (up b0) (up b1) (not (idle)))))"
-    table = sweep(load(write_instance(tmp_path, COUNTERS, problem)))
-    space = table.space
-    assert len(space) == 16
-    assert table[table.initial] == 3
-    assert verify(table, 5, np.random.default_rng(0)) == 5
-    many = " ".join(f"(up {b})" for b in names[90:])
-    big = problem.replace(up, many)
-    with pytest.raises(LimitError):  # 2^90 states; the first words of many thousand are alike
-        sweep(load(write_instance(tmp_path / "big", COUNTERS, big)), max_states=5000)
-
-
-@given(st.lists(st.integers(1, 40), min_size=1, max_size=40))
-def test_packing_is_invertible_and_distinguishes_states(domains: list[int]) -> None:
-    variables = tuple(Variable(f"v{i}", tuple(map(str, range(size))), -1) for i, size in enumerate(domains))
-    task = Task(Instance(Path("p"), Path("d")), variables, (), (), (), (), (0,) * len(domains), ())
-    packing = Packing.of(task)
-    rng = np.random.default_rng(len(domains))
-    values = np.stack([rng.integers(0, size, 50) for size in domains], axis=-1)
-    packed = packing.pack(values)
-    np.testing.assert_array_equal(packing.unpack(packed), values)
-    assert len(np.unique(packed, axis=0)) == len(np.unique(values, axis=0))
 
 
 def test_where_neither_way_is_done_both_reasons_are_told(monkeypatch: pytest.MonkeyPatch) -> None:

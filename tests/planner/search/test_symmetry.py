@@ -248,16 +248,6 @@ def test_who_stops_a_search_does_not_wait_for_the_forms_of_many_states(monkeypat
     assert formed == [1]
 
 
-def test_a_guess_that_is_none_does_not_count(monkeypatch):
-    """If colours distinguish nothing, the guesses are wrong, and none is accepted."""
-    search = importlib.import_module("planner.search.automorphisms")._Search
-    task = switches([1, 2, 3], [0, 1, 2])
-    monkeypatch.setattr(search, "_refined", lambda _self, colors: colors * np.uint64(0) + np.uint64(1))
-    marked = lambda _self, colors, fact: np.where(np.arange(len(colors)) == fact, colors.max() + 1, colors)  # noqa: E731
-    monkeypatch.setattr(search, "_marked", marked)
-    assert symmetries(task) is None
-
-
 @pytest.mark.parametrize(
     ("costs", "goal", "symmetry", "proven"),
     [
@@ -274,10 +264,24 @@ def test_symmetries_are_proven(costs, goal, symmetry, proven):
     assert search.proven(np.array(symmetry)) == proven
 
 
+def test_a_guess_that_is_none_does_not_count(monkeypatch):
+    """If colours distinguish nothing, the guesses are wrong, and none is accepted."""
+    search = importlib.import_module("planner.search.automorphisms")._Search
+    task = switches([1, 2, 3], [0, 1, 2])
+    monkeypatch.setattr(search, "_refined", lambda _self, colors: colors * np.uint64(0) + np.uint64(1))
+    marked = lambda _self, colors, fact: np.where(np.arange(len(colors)) == fact, colors.max() + 1, colors)  # noqa: E731
+    monkeypatch.setattr(search, "_marked", marked)
+    assert symmetries(task) is None
+
+
 def test_too_many_orbits_are_none(monkeypatch):
-    task = load(instance(KITTING / "paper.pddl"))
+    task, alike = load(instance(KITTING / "paper.pddl")), switches([1] * 4, range(4))
     with pytest.raises(LimitError, match="more than 100 states"):
         orbits(task, max_orbits=100)
+    with pytest.raises(LimitError, match="1 transitions or more between orbits of 24 symmetries"):
+        orbits(alike, max_orbits=100, effort=4 * 9)  # facts of a state, symmetries
+    for most in ({"work": 1}, {"max_levels": 2}, {"max_entries": 2}):
+        assert symmetries(alike, **most) is None
     # 4 symmetries: 836 states are 209 orbits at least, which is known before they are listed.
     module = importlib.import_module("planner.costtogo.orbit_table")
     monkeypatch.setattr(module, "RegistrySpace", None)
@@ -336,15 +340,6 @@ def test_a_record_tells_of_orbits():
     assert (record["method"], record["states"], record["max_cost_to_go"]) == ("on-demand", None, int(table.h.max()))
     assert (record["cost"], record["verified"], record["consistent"]) == (table[table.initial], 5, 5)
     assert replay(load(at), record["plan"]) == record["cost"]
-
-
-def test_what_goes_beyond_the_effort_is_given_up():
-    task = switches([1] * 4, range(4))
-    with pytest.raises(LimitError, match="1 transitions or more between orbits of 24 symmetries"):
-        orbits(task, max_orbits=100, effort=4 * 9)  # facts of a state, symmetries
-    assert symmetries(task, work=1) is None
-    assert symmetries(task, max_levels=2) is None
-    assert symmetries(task, max_entries=2) is None
 
 
 def test_wrong_values_are_found():

@@ -68,38 +68,33 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch, work: Callable[[], object]) -> 
     return "".join(shown)
 
 
-def stage(what: str, done: int, total: int | None, seconds: float) -> str:
-    return str(progress.Stage(what, done, total, time.monotonic() - seconds))
-
-
-def test_a_line_says_what_is_known_and_nothing_else() -> None:
-    assert stage("reading", 0, None, 3) == "reading, 3 s"
-    assert stage("states", 3000, None, 2) == "states, 2 s: 3,000, 1,500/s"
-    assert stage("cost-to-go", 0, 4000, 5) == "cost-to-go, 5 s: 0 of 4,000"
-    assert stage("cost-to-go", 3000, 4000, 6) == "cost-to-go, 6 s: 3,000 of 4,000, about 2 s left"
+@pytest.mark.parametrize(
+    ("told", "seconds", "line"),
+    [
+        (("reading", 0, None), 3, "reading, 3 s"),
+        (("states", 3000, None), 2, "states, 2 s: 3,000, 1,500/s"),
+        (("cost-to-go", 0, 4000), 5, "cost-to-go, 5 s: 0 of 4,000"),
+        (("cost-to-go", 3000, 4000), 6, "cost-to-go, 6 s: 3,000 of 4,000, about 2 s left"),
+        (("cost-to-go", 1, 4000), 10, "cost-to-go, 10 s: 1 of 4,000, about 30 s left"),  # the work ends by then
+    ],
+)
+def test_a_line_says_what_is_known_and_nothing_else(
+    told: tuple[str, int, int | None], seconds: float, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown, now = list[str](), [1000.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("planner.system.progress._Display.show", lambda _, stage: shown.append(str(stage)))
+    with progress.stages(within=40.0) as show:
+        show(told[0], 0, told[2])
+        now[0] += seconds
+        show(*told)
+    assert shown[-1] == line
 
 
 def test_what_was_done_before_says_nothing_about_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """A resumed run has 90 of 100 at once; its next one after 10 s makes 90 s for the others, not 1 s."""
-    shown, now = list[str](), [1000.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr("planner.system.progress._Display.show", lambda _, stage: shown.append(str(stage)))
-    with progress.stages() as show:
-        advance = progress.adding(show, "episodes", 100, done=90)
-        now[0] += 10
-        advance(1)
-    assert shown == ["episodes, 0 s: 90 of 100", "episodes, 10 s: 91 of 100, about 90 s left"]
-
-
-def test_no_more_time_is_left_than_the_limit_of_the_work_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown, now = list[str](), [1000.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr("planner.system.progress._Display.show", lambda _, stage: shown.append(str(stage)))
-    with progress.stages(within=30.0) as show:
-        for done, seconds in ((0, 0), (1, 10), (2, 10), (3, 20)):
-            now[0] += seconds
-            show("rounds", done, 40)
-    assert [line.partition(", about ")[2] for line in shown] == ["", "20 s left", "10 s left", "0 s left"]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: 1010.0)
+    assert str(progress.Stage("episodes", 91, 100, 1000.0, first=90)) == "episodes, 10 s: 91 of 100, about 90 s left"
 
 
 @pytest.mark.parametrize(
