@@ -34,8 +34,8 @@ ROOMS = {
     "planner": "engine",
     "assist.declare": "declared rows tables options catalogue refusals",
     "assist.people": """hidden_type arguments state_keys slots choices misconception decision same_costs user_code
-        goals terms memory memory_on_demand choice_model weighted_choice human ranges real_people spread belief
-        influence_kernels type_kernels trust_rules perceived_suggestions given_rules neighbours neighbourhood sights
+        goals terms memory memory_on_demand choice_model human ranges spread belief influence_kernels
+        type_kernels trust_rules perceived_suggestions given_rules neighbours neighbourhood sights
         theta_reach action_names signals""",
     "assist.person": """ties leaf_bounds behaviour evidence observation_model robots fleet travel settings
         robot_actions trust_shares pomdp each_goal assumptions visiting_robot problem_arrays people_arrays

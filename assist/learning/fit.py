@@ -16,13 +16,12 @@ from planner.system.limits import Deadline
 from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.results import Result
 
-from ..people.choice_model import ChoiceModel, boltzmann, chances, value
+from ..people.choice_model import ChoiceModel, Weighted, boltzmann, chances, value
 from ..people.decision import NOTHING, perceived_cost
 from ..people.human import Human
 from ..people.misconception import Misconception
 from ..people.ranges import Population
 from ..people.terms import TERMS, Term
-from ..people.weighted_choice import Weighted
 from ..person.settings import Setting
 from ..person.state_cache import StateCache
 from ..person.truncated_task import TruncatedTask

@@ -19,8 +19,7 @@ from planner import CostToGo
 from ..declare.refusals import InapplicableError, Refusal
 from ..people.decision import NOTHING
 from ..people.goals import Goals
-from ..people.ranges import Population, require_populations
-from ..people.real_people import advice_takers
+from ..people.ranges import Population, advice_takers, require_populations
 from ..person.policy import Policy
 from ..person.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy

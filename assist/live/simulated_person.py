@@ -14,6 +14,7 @@ import numpy as np
 
 from planner import CostToGo, Transitions
 
+from ..people.choice_model import Weighted
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, perceived_cost
 from ..people.goals import Goals, each_of, prior_of
@@ -22,7 +23,6 @@ from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.ranges import Population
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from ..people.trust_rules import EquationSeven, Event, TrustRule
-from ..people.weighted_choice import Weighted
 from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel
 from ..person.state_cache import NONE, StateCache

@@ -1,6 +1,7 @@
 from .belief import Grid as Grid
 from .belief import ImpossibleObservationError as ImpossibleObservationError
 from .choice_model import ChoiceModel as ChoiceModel
+from .choice_model import Weighted as Weighted
 from .choice_model import boltzmann as boltzmann
 from .choices import WAIT as WAIT
 from .choices import Choices as Choices
@@ -24,7 +25,7 @@ from .neighbours import SeenOutcome as SeenOutcome
 from .neighbours import SeenRule as SeenRule
 from .neighbours import SeenSteps as SeenSteps
 from .ranges import Population as Population
-from .real_people import advice_takers as advice_takers
+from .ranges import advice_takers as advice_takers
 from .signals import ActionRecovery as ActionRecovery
 from .signals import FactChange as FactChange
 from .signals import Recovery as Recovery
@@ -46,4 +47,3 @@ from .trust_rules import constant as constant
 from .trust_rules import outcome as outcome
 from .trust_rules import outcome_at_disagreement as outcome_at_disagreement
 from .user_code import UserCodeError as UserCodeError
-from .weighted_choice import Weighted as Weighted

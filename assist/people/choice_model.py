@@ -1,11 +1,13 @@
 """Choice models: the probability of every choice in every state, for each type of person.
 
 Filter, policies, solvers, bounds and simulation use these probabilities only. So any function of this form can replace
-the paper's model: terms and habits (`weighted_choice`), or a function of the user.
+the paper's model: terms and habits (`Weighted`), or a function of the user.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -52,6 +54,32 @@ def boltzmann(choices: Choices, q: Floats, beta: Floats, /) -> Floats:
     float array, shape (B, n, A)
     """
     return np.stack([choice(q, choices.applicable, one) for one in beta])
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """Choice by cost-to-go and terms; a `ChoiceModel`.
+
+    P(a | x, m) proportional to exp(-beta Q(x, a) + sum_j w_j f_j(x, a, m)), where m is the person's last action.
+
+    Attributes
+    ----------
+    weights : mapping of str to float
+        Weight w_j of each term by its name; other terms have weight 0.
+    """
+
+    weights: Mapping[str, float] = field(default_factory=dict, hash=False)
+
+    def __call__(self, choices: Choices, q: Floats, beta: Floats, /) -> Floats:
+        """Return the probability of each choice, shape (B, n, A)."""
+        known = choices.terms or ()
+        if unknown := self.weights.keys() - set(known):
+            named = ", ".join(sorted(unknown))
+            raise UserCodeError(f"terms {named}: the choices do not have them; expected `remembered(table, terms)`")
+        if choices.features is None:
+            return boltzmann(choices, q, beta)
+        bias = choices.features @ np.array([self.weights.get(name, 0.0) for name in known])
+        return np.stack([choice(q, choices.applicable, one, bias) for one in beta])
 
 
 def chances(chooses: ChoiceModel, choices: Choices, q: Floats, beta: Floats) -> Floats:

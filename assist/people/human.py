@@ -14,11 +14,10 @@ import numpy as np
 from planner.system.arrays import frozen, outline
 
 from .arguments import MOST, number
-from .choice_model import ChoiceModel, boltzmann, chances, value
+from .choice_model import ChoiceModel, Weighted, boltzmann, chances, value
 from .choices import Choices
 from .decision import Floats, perceived_cost
 from .misconception import Misconception
-from .weighted_choice import Weighted
 
 NO_MISCONCEPTION = Misconception(0.0, 0)
 """That of somebody who knows the true cost-to-go."""

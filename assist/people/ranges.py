@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import field
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PlainValidator
@@ -165,8 +168,7 @@ class Population:
 
     def _model(self, rng: np.random.Generator) -> ChoiceModel:
         """Return the choice model of a person, with weights drawn from their ranges."""
-        from .choice_model import boltzmann
-        from .weighted_choice import Weighted
+        from .choice_model import Weighted, boltzmann
 
         if not self.weights:
             return self.chooses or boltzmann
@@ -176,8 +178,7 @@ class Population:
     @property
     def typical(self) -> ChoiceModel:
         """The choice model of a typical person, with every weight at its mean."""
-        from .choice_model import boltzmann
-        from .weighted_choice import Weighted
+        from .choice_model import Weighted, boltzmann
 
         if not self.weights:
             return self.chooses or boltzmann
@@ -186,6 +187,38 @@ class Population:
             for name, (low, high) in part.weights.items():
                 mean[name] += share / (sum(self.shares) or 1.0) * (low + high) / 2
         return Weighted(mean)
+
+
+OF_ADVICE_TAKERS = ("beta", "sigma", "chooses")
+"""Fields of a population whose influence is that of real people."""
+
+
+def advice_takers(
+    beta: Range = (0.1, 3.0), sigma: Range = (0.1, 1.0), *, center: float = 1.7, spread: float = 1.4,
+    chooses: ChoiceModel | None = None,
+) -> Population:  # fmt: skip
+    """Return a population whose influence theta varies as much as in public data of people who received advice.
+
+    logit(theta) is normal with mean `center` and standard deviation `spread`, in ten ranges of theta within which it is
+    uniform. In two public data sets, of 401 people who bet on cards with attention and 91 who dated events, the fitted
+    means are .4, 1.8 and 2.9, and the fitted standard deviations 1.2 to 1.6 (docs/results/trust.md). The defaults were
+    chosen on these people, near the middle: half of all have an influence above .85, and one in nine below .5.
+
+    Parameters
+    ----------
+    beta, sigma : pair of float
+        As in `Population`.
+    center, spread : float
+        In log-odds.
+    chooses : ChoiceModel, optional
+        As in `Population`.
+    """
+    if not (-MOST <= center <= MOST and 0 < spread <= MOST):
+        raise ValueError(f"center {center:g}, spread {spread:g}: expected log-odds, and a spread above 0")
+    edges = [tenth * 0.1 for tenth in range(10)] + [1.0]
+    below = [0.0, *(NormalDist(center, spread).cdf(math.log(e / (1 - e))) for e in edges[1:-1]), 1.0]
+    parts = tuple(Population(beta, (low, high), sigma, chooses=chooses) for low, high in itertools.pairwise(edges))
+    return Population.mixed(parts, [high - low for low, high in itertools.pairwise(below)])
 
 
 def require_populations(*given: Any) -> None:

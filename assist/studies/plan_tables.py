@@ -15,8 +15,7 @@ from planner.system.files import no_such, read_json
 from ..declare.declared import shown
 from ..declare.tables import convert, fault
 from ..learning import distribution as populations
-from ..people.ranges import Population
-from ..people.real_people import OF_ADVICE_TAKERS, advice_takers
+from ..people.ranges import OF_ADVICE_TAKERS, Population, advice_takers
 from ..people.terms import TERMS
 from ..people.user_code import parse
 from ..team.policy_names import POLICIES

@@ -13,7 +13,7 @@ from test_ros2 import DRIVES
 
 from assist.live.simulated_person import SimulatedPerson
 from assist.live.store import stored
-from assist.people.real_people import advice_takers
+from assist.people.ranges import advice_takers
 from assist.web.server import SimulatedSeats, listen, run
 
 pytest.importorskip("py_trees")

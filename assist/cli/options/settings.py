@@ -27,8 +27,7 @@ from ...declare.declared import (
 )
 from ...learning.method import Method
 from ...live.live_setting import LiveSetting
-from ...people.ranges import OwnModel, Population
-from ...people.real_people import OF_ADVICE_TAKERS, advice_takers
+from ...people.ranges import OF_ADVICE_TAKERS, OwnModel, Population, advice_takers
 from ...person.settings import Setting
 from .common import Megabytes
 

@@ -21,8 +21,7 @@ from planner.system.errors import expected as meant
 from ...declare.catalogue import FIRST, Catalogue, catalogue
 from ...declare.declared import AnyTable, Expected, Text, Texts, Truth, Whole, declared, names_of, shown
 from ...declare.tables import convert, fault, load, replaced
-from ...people.ranges import Population
-from ...people.real_people import OF_ADVICE_TAKERS, advice_takers
+from ...people.ranges import OF_ADVICE_TAKERS, Population, advice_takers
 from ...person.settings import Setting, require_effect
 from ..plan_tables import among, different, own_policy, population, tasks
 from .outcomes import OUTCOMES

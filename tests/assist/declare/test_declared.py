@@ -267,7 +267,7 @@ def test_tables_of_pages_are_as_the_classes_declare_them() -> None:
 
 
 def test_declarations_import_no_arrays() -> None:
-    rooms = ("people.trust_rules", "people.ranges", "people.real_people", "person.settings", "learning.method")
+    rooms = ("people.trust_rules", "people.ranges", "person.settings", "learning.method")
     modules = ", ".join(f"assist.{room}" for room in rooms)
     code = f"import sys, {modules}; print(*{{'numpy', 'scipy', 'numba'}} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -16,7 +16,7 @@ from assist.declare import InapplicableError, Refusal
 from assist.learning.log import Log
 from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
-from assist.people.real_people import advice_takers
+from assist.people.ranges import advice_takers
 from assist.person import QMDP, Assumptions, ObservationModel, Setting, TruncatedPolicy, person_problem, qmdp
 from assist.person.shared_task import SharedTask
 from assist.team.questions import worth_of_knowing

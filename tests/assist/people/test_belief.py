@@ -17,8 +17,7 @@ from assist.people.decision import choice, influence, lapse, trust
 from assist.people.hidden_type import HiddenType
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
-from assist.people.ranges import Population
-from assist.people.real_people import advice_takers
+from assist.people.ranges import Population, advice_takers
 from assist.people.spread import Spread
 from assist.people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
 from assist.person.behaviour import Behaviour

@@ -19,7 +19,7 @@ from scipy.special import softmax
 from assist.declare import plain
 from assist.live.assistant import Assistant
 from assist.people.belief import Grid
-from assist.people.choice_model import boltzmann, chances
+from assist.people.choice_model import Weighted, boltzmann, chances
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_value, trust
 from assist.people.human import Human, HumanModel
@@ -27,7 +27,6 @@ from assist.people.memory import remembered
 from assist.people.ranges import Population
 from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from assist.people.user_code import UserCodeError
-from assist.people.weighted_choice import Weighted
 from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP, Behaviour
 from assist.person.qmdp import qmdp
