@@ -56,7 +56,7 @@ ROOMS = {
         computation truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.certify.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
-    "assist.learning": """method log_steps log_rows log_json log_tables log_files log intervals comparison
+    "assist.learning": """method log_rows log_steps log_json log_tables log_files log intervals comparison
         advice_log
         advice_rules advice_model advice_fit replay observations evidence likelihood
         rule_families neighbours_in_logs

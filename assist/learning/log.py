@@ -26,10 +26,8 @@ from planner.system.results import Result
 
 from ..people.action_names import words_of, wrong_form
 from .log_files import IN_TEAM, NEEDED, in_tasks, is_hidden, lacking_column, named_rows, own_names, read_records, tidy
-from .log_rows import Broken, Names, Row, Taken
+from .log_rows import Names, Taken
 from .log_steps import days_in_disorder, expected_date, moment
-
-EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
 
 SUGGESTION = "suggestion "
 """Begins what is wrong with a suggestion, behind the step."""
@@ -175,7 +173,7 @@ class Log(Result):
         name : str
             Name of the log in messages.
         """
-        return _of(records, gaps, columns, name)
+        return _log(records, gaps, columns, name)
 
 
 def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[str, str] | None = None) -> Log:
@@ -199,7 +197,7 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[
     ValueError
         `columns` has a name that a log does not have, or the file does not.
     """
-    return _read(file, gaps, columns)
+    return _log(Path(file), gaps, columns)
 
 
 def log_of(
@@ -229,30 +227,7 @@ def log_of(
             wanted = "expected the file, records or frame itself, of which only the instance's lines are then read"
             raise InputFileError(f"{log.name}: {several} were read; {wanted}")
         return log
-    if isinstance(log, str | PathLike):
-        return _read(log, gaps, columns, problems)
-    return _of(log, gaps, columns, problems=problems)
-
-
-def _read(
-    file: str | PathLike[str], gaps: bool, columns: Mapping[str, str] | None, problems: Sequence[str] = ()
-) -> Log:  # fmt: skip
-    """Return the log in a file."""
-    path = Path(file)
-    rows, taken = read_records(path, own_names(columns), gaps=gaps, problems=problems)
-    return _log(rows, gaps, str(path), taken)
-
-
-def _of(
-    records: Iterable[Mapping[str, Any]], gaps: bool, columns: Mapping[str, str] | None, name: str = "log",
-    problems: Sequence[str] = (),
-) -> Log:  # fmt: skip
-    """Return the log of records."""
-    taken, named = Taken(), own_names(columns)
-    rows = named_rows(list(enumerate(_records(records), start=1)), named, name, taken)
-    if hasattr(records, "columns") and (lacking := lacking_column(list(map(str, records.columns)), named)):
-        rows = [(1, lacking)]
-    return _log(tidy(in_tasks(rows, problems, name, taken), taken, gaps=gaps), gaps, name, taken)
+    return _log(Path(log) if isinstance(log, str | PathLike) else log, gaps, columns, problems=problems)
 
 
 def _records(records: Any) -> Iterable[Mapping[str, Any]]:
@@ -325,33 +300,38 @@ def in_order(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name)]
 
 
-def _log(records: Iterable[Row], gaps: bool, name: str, taken: Taken) -> Log:
-    """Return the log of rows that were read from a file: their entries, and the faults of unusable ones."""
+def _log(
+    source: Path | Iterable[Mapping[str, Any]], gaps: bool, columns: Mapping[str, str] | None, name: str = "log",
+    problems: Sequence[str] = (),
+) -> Log:  # fmt: skip
+    """Return the log in a file, which has the file's name, or of records."""
+    taken, named = Taken(), own_names(columns)
+    if isinstance(source, Path):
+        name = str(source)
+        rows = read_records(source, named, taken)
+    else:
+        rows = named_rows(list(enumerate(_records(source), start=1)), named, name, taken)
+        if hasattr(source, "columns") and (lacking := lacking_column(list(map(str, source.columns)), named)):
+            rows, taken.broken = [], [(1, lacking)]
+    rows = tidy(in_tasks(rows, problems, name, taken), taken, gaps=gaps)
     note = str(taken)
     entries: list[Entry] = []
     faults: list[Fault] = []
-    lost: list[int] = []  # lines whose episode is unknown
-    for number, record in records:
-        if isinstance(record, Broken):
-            spoils = not record.ends
-            faults += [Fault(number, *names, record.message, spoils) for names in sorted(record.owners)]
-            if not record.owners:
-                faults.append(Fault(number, None, None, record.message, spoils))
-                lost += [number] * spoils
-            continue
+    for number, record in rows:
         message = _fault(record)
         if message is None:
             entries.append(
                 Entry(
                     number, str(record["person"]), str(record["episode"]), record["step"], record["action"],
-                    record.get("suggestion"), record.get("executed"), *(record.get(name) for name in IN_TEAM),
+                    record.get("suggestion"), record.get("executed"), *(record.get(key) for key in IN_TEAM),
                 )
             )  # fmt: skip
         else:
-            known = record if isinstance(record, Mapping) else {}
-            own = _name(known.get("person")), _name(known.get("episode"))
-            faults.append(Fault(number, *own, message))
-            lost += [number] * (None in own)
+            faults.append(Fault(number, _name(record.get("person")), _name(record.get("episode")), message))
+    for number, broken in taken.broken:
+        owners: list[tuple[str | None, str | None]] = [*sorted(broken.owners)] or [(None, None)]
+        faults += [Fault(number, *names, broken.message, not broken.ends) for names in owners]
+    lost = sorted(fault.line for fault in faults if fault.spoils and None in (fault.person, fault.episode))
     called = {words[0] for entry in entries for words in map(words_of, entry.texts) if words}
     people = {entry.person for entry in entries} | {fault.person for fault in faults if fault.person is not None}
     spoilt = {(fault.person, fault.episode) for fault in faults if fault.spoils}
@@ -367,7 +347,7 @@ def _log(records: Iterable[Row], gaps: bool, name: str, taken: Taken) -> Log:
         said = f"episodes such as '{disorder}' in the order of these numbers, perhaps not of days; expected 2026-03-01"
         note = f"{note}; {said}" if note else f"read {said}"
     entries = [entry for entry in entries if entry.names not in spoilt]
-    incomplete = _incomplete(entries, sorted(lost), gaps, lowest)
+    incomplete = _incomplete(entries, lost, gaps, lowest)
     faults += incomplete.values()
     return Log(
         tuple(entry for entry in entries if entry.names not in incomplete),
@@ -422,10 +402,8 @@ def _short(value: object) -> str:
     return text if len(text) <= most else f"{text[:most]}..."
 
 
-def _fault(record: Any) -> str | None:
+def _fault(record: Mapping[str, Any]) -> str | None:
     """Return what is wrong with a record; None if nothing is."""
-    if not isinstance(record, Mapping):
-        return EXPECTED
     for key, types, wanted in (
         ("person", (str, int), "a name"),
         ("episode", (str, int), "a name"),

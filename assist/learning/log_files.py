@@ -24,7 +24,7 @@ from planner.system.files import bytes_of
 
 from ..people.action_names import words_of, wrong_form
 from .log_json import read_json
-from .log_rows import Broken, Names, Row, Taken
+from .log_rows import Broken, Names, Record, Row, Taken
 from .log_steps import is_plain, number_times, whole
 from .log_tables import has_columns, read_table
 
@@ -46,6 +46,8 @@ MISSING = frozenset(
 )  # fmt: skip
 """Notations of a missing value besides an empty cell; the list of pandas."""
 
+EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
+
 BINARY = {
     b"\x1f\x8b": "a compressed file",
     b"PK\x03\x04": "a spreadsheet's own file, or an archive",
@@ -55,50 +57,41 @@ BINARY = {
 """First bytes of files that are no text."""
 
 
-def read_records(
-    file: Path, columns: Mapping[str, str], *, gaps: bool = False, problems: Sequence[str] = ()
-) -> tuple[list[Row], Taken]:  # fmt: skip
-    """Return a file's records, and how it was interpreted.
+def read_records(file: Path, columns: Mapping[str, str], taken: Taken) -> list[Record]:
+    """Return a file's records with the column names of a log; `taken` notes how it was interpreted.
 
     Parameters
     ----------
     file : Path
     columns : mapping of str to str
         The file's name of each column of a log; checked by `own_names`.
-    gaps : bool
-        Whether steps may have gaps, so that they may be times.
-    problems : sequence of str
-        As in `in_tasks`.
+    taken : Taken
 
     Raises
     ------
     InputFileError
-        The file cannot be read, or has lines of several tasks, and of none of the given ones.
+        The file cannot be read.
     ValueError
         `columns` has a name that the file does not have.
     """
-    taken = Taken()
     lines = lines_of(bytes_of(file), taken)
     texts = [line for line in lines if isinstance(line, str) and line.strip()]
     head = texts[0].strip() if texts else ""
     own = set(_sources(columns).values())
     if head.startswith(("{", "[")) or not _is_table(file, texts, own):
         rows = read_json(lines, lambda key: isinstance(key, str) and plain(key).lower() in own, _owners)
-        rows = named_rows(rows, columns, file, taken)
-    else:
-        rows = _from_table(lines, columns, file, taken)
-    return tidy(in_tasks(rows, problems, file, taken), taken, gaps=gaps), taken
+        return named_rows(rows, columns, file, taken)
+    return _from_table(lines, columns, file, taken)
 
 
-def in_tasks(rows: Sequence[Row], problems: Sequence[str], name: object, taken: Taken) -> list[Row]:
+def in_tasks(rows: list[Record], problems: Sequence[str], name: object, taken: Taken) -> list[Record]:
     """Return the rows in some tasks; rows whose task is unknown are returned, too, unless other rows have one.
 
     An episode belongs to one task, so that lines of others are no part of the log: they are left out first of all.
 
     Parameters
     ----------
-    rows : sequence of Row
-        Rows with the column names of a log.
+    rows : list of Record
     problems : sequence of str
         Files of the tasks' problems. A log calls a task by such a name, without ending and perhaps with folders. A
         log of one task may call it otherwise. Without problems all rows are returned, and `taken` has their tasks.
@@ -110,7 +103,7 @@ def in_tasks(rows: Sequence[Row], problems: Sequence[str], name: object, taken: 
     InputFileError
         The log has several tasks, and none of these.
     """
-    tasks = Counter(_task(record) for _, record in rows if isinstance(record, Mapping))
+    tasks = Counter(_task(record) for _, record in rows)
     called = [task for task in tasks if any(_is_called(task, problem) for problem in problems)]
     shown = ", ".join(f"{task or 'no name'} {count:,}" for task, count in tasks.items())
     own = Path(problems[0]).stem if problems else ""
@@ -126,11 +119,11 @@ def in_tasks(rows: Sequence[Row], problems: Sequence[str], name: object, taken: 
         if not called:
             if any(tasks):
                 taken.said.append(f"lines of the task '{next(iter(tasks))}' as those of '{own}'")
-            return list(rows)
+            return rows
         left = sum(tasks.values()) - sum(tasks[task] for task in called)
         taken.said.append(f"only lines of the task {' or '.join(called)}, without {left:,} others (lines: {shown})")
-        return [row for row in rows if not isinstance(row[1], Mapping) or _task(row[1]) in called]
-    return list(rows)
+        return [row for row in rows if _task(row[1]) in called]
+    return rows
 
 
 def _task(record: Mapping[str, Any]) -> str:
@@ -180,32 +173,18 @@ def _sources(columns: Mapping[str, str]) -> dict[str, str]:
     return {name: columns.get(name, name) for name in COLUMNS if name in columns or name not in named}
 
 
-def tidy(rows: Iterable[Row], taken: Taken, *, gaps: bool = False) -> list[Row]:
+def tidy(rows: list[Record], taken: Taken, *, gaps: bool = False) -> list[Record]:
     """Return records with None for missing values, plain names, and integers for steps in any notation.
 
     Records that have neither an action nor a step, or name no episode, are left out, since they are no part of one:
     programs for experiments write a row for instructions, too. A record that has no field `action` at all is broken:
     where nothing was done, it is null.
     """
-    rows = [(number, dict(record) if isinstance(record, Mapping) else record) for number, record in rows]
     for number, record in rows:
-        if isinstance(record, dict):
-            _tidy(record, number, taken)
-    acting = any(record.get("action") is not None for _, record in rows if isinstance(record, dict))
-    kept: list[Row] = []
-    for number, record in rows:
-        if acting and isinstance(record, dict) and record.get("action") is None:
-            nothing = all(record.get(key) is None for key in ACTIONS)
-            if nothing and any(record.get(key) is None for key in NEEDED[:3]):
-                taken.outside.append(number)
-                continue
-            if "action" not in record:
-                kept.append((number, Broken("no action; expected null if nothing was done", _owner(record))))
-                continue
-            taken.idle += [number] * (record.get("executed") is None)
-        kept.append((number, record))
-    found = [record for _, record in kept if isinstance(record, dict)]
-    for record in found:
+        _tidy(record, number, taken)
+    if any(record.get("action") is not None for _, record in rows):
+        rows = [row for row in rows if row[1].get("action") is not None or _is_part(*row, taken)]
+    for _, record in rows:
         step = record.get("step")
         integer = whole(step)
         if integer is not None:
@@ -214,11 +193,25 @@ def tidy(rows: Iterable[Row], taken: Taken, *, gaps: bool = False) -> list[Row]:
         for key in IN_TEAM:
             record[key] = value if type(value := record.get(key)) is int else whole(value)
     if gaps:
-        taken.times, unclear = number_times(found)
+        taken.times, unclear = number_times(rows)
         midnight = "times of the clock that seem to go on after midnight; expected dates, too"
-        which = set(map(id, unclear))
-        kept = [(n, Broken(midnight, _owner(record)) if id(record) in which else record) for n, record in kept]
-    return kept
+        taken.broken += [(number, Broken(midnight, _owner(record))) for number, record in unclear]
+        which = {id(record) for _, record in unclear}
+        rows = [row for row in rows if id(row[1]) not in which]
+    return rows
+
+
+def _is_part(number: int, record: Mapping[str, Any], taken: Taken) -> bool:
+    """Return whether a record without an action is a line of an episode, in which nothing was done."""
+    nothing = all(record.get(key) is None for key in ACTIONS)
+    if nothing and any(record.get(key) is None for key in NEEDED[:3]):
+        taken.outside.append(number)
+        return False
+    if "action" not in record:
+        taken.broken.append((number, Broken("no action; expected null if nothing was done", _owner(record))))
+        return False
+    taken.idle += [number] * (record.get("executed") is None)
+    return True
 
 
 def _tidy(record: dict[str, Any], number: int, taken: Taken) -> None:
@@ -319,30 +312,33 @@ def _owners(text: str) -> frozenset[Names]:
 
 def named_rows(
     rows: Sequence[Row], columns: Mapping[str, str], name: object, taken: Taken, head: Iterable[str] = ()
-) -> list[Row]:
+) -> list[Record]:
     """Return records with the column names of a log, from the user's names in any case; `head` has names of a table."""
-    keys = {key: plain(key).lower() for key in head}
-    keys |= {key: plain(key).lower() for _, record in rows if isinstance(record, Mapping) for key in map(str, record)}
+    records = [(number, record) for number, record in rows if isinstance(record, Mapping)]
+    others = [(number, other) for number, other in rows if not isinstance(other, Mapping)]
+    taken.broken += [(number, one if isinstance(one, Broken) else Broken(EXPECTED)) for number, one in others]
+    every = dict.fromkeys([*head, *(str(key) for _, record in records for key in record)])
+    keys = {key: plain(key).lower() for key in every}
     _check(columns, list(keys.values()), name)
     taken.simulated = set(keys.values()) >= OF_A_SIMULATION
     if taken.simulated:
-        each = (record.get("goal") for _, record in rows if isinstance(record, Mapping))
+        each = (record.get("goal") for _, record in records)
         taken.goals = tuple(dict.fromkeys(goal for goal in each if isinstance(goal, str) and goal))
     source = _sources(columns)
     renamed = {key: name for name, own in source.items() for key, plain_key in keys.items() if plain_key == own}
-    found: list[Row] = []
-    for number, record in rows:
-        if not isinstance(record, Mapping):
-            found.append((number, record))
-            continue
+    found: list[Record] = []
+    for number, record in records:
         taken.doubtful += [number] * (record.get("uncertain") is True)
-        mine = {renamed[key]: value for key, value in record.items() if key in renamed}
-        twice = next((name for name, n in Counter(renamed[k] for k in record if k in renamed).items() if n > 1), None)
-        found.append((number, mine if twice is None else Broken(f"two fields are called {source[twice]}")))
+        own = [key for key in record if key in renamed]
+        mine = {renamed[key]: record[key] for key in own}
+        if len(mine) == len(own):
+            found.append((number, mine))
+        else:
+            twice = Counter(renamed[key] for key in own).most_common(1)[0][0]
+            taken.broken.append((number, Broken(f"two fields are called {source[twice]}")))
     if "suggestion" not in renamed.values():
-        others = [key for key in keys if key not in renamed]
-        actions = [record.get("action") for _, record in found if isinstance(record, dict)]
-        cells = {key: [record.get(key) for _, record in rows if isinstance(record, Mapping)] for key in others}
+        actions = [record.get("action") for _, record in found]
+        cells = {key: [record.get(key) for _, record in records] for key in keys if key not in renamed}
         taken.asked += _asked(cells, actions)
     return found
 
@@ -392,7 +388,7 @@ def _is_table(file: Path, texts: Sequence[str], sought: Collection[str]) -> bool
     return file.suffix.lower() not in (".jsonl", ".json") or has_columns(texts, sought)
 
 
-def _from_table(lines: Sequence[str | Broken], columns: Mapping[str, str], file: Path, taken: Taken) -> list[Row]:
+def _from_table(lines: Sequence[str | Broken], columns: Mapping[str, str], file: Path, taken: Taken) -> list[Record]:
     """Return the records of a table with the column names of a log; an empty cell is None."""
     source = _sources(columns)
 
@@ -400,12 +396,15 @@ def _from_table(lines: Sequence[str | Broken], columns: Mapping[str, str], file:
         return _owner({name: plain(cells[source[name]]) for name in NAMES if cells.get(source[name])})
 
     (number, head), rows = read_table(lines, source.values(), owners, taken)
-    rows = [
-        (line, record if isinstance(record, Broken) else {name: _cell(name, record[name], taken) for name in record})
+    found = [
+        (line, {name: _cell(name, cell, taken) for name, cell in record.items()})
         for line, record in named_rows(rows, columns, file, taken, head)
     ]
-    lacking = None if any(line == number for line, _ in rows) else lacking_column(head, columns)
-    return rows if lacking is None else [row for row in rows if isinstance(row[1], Broken)] + [(number, lacking)]
+    lacking = None if number in dict(taken.broken) else lacking_column(head, columns)
+    if lacking is None:
+        return found
+    taken.broken.append((number, lacking))
+    return []
 
 
 def lacking_column(head: Sequence[str], columns: Mapping[str, str]) -> Broken | None:

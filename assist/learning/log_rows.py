@@ -14,6 +14,9 @@ Names = tuple[str, str]
 Row = tuple[int, Any]
 """Number of a line, from 1, and its content: a record, a `Broken`, or another value that is no record."""
 
+Record = tuple[int, dict[str, Any]]
+"""Number of a line, and its values by the column names of a log."""
+
 
 @dataclass(frozen=True)
 class Broken:
@@ -35,8 +38,9 @@ class Broken:
 
 @dataclass
 class Taken:
-    """How a file was interpreted."""
+    """How a file was interpreted, and its lines that are no records."""
 
+    broken: list[tuple[int, Broken]] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     missing: dict[str, None] = field(default_factory=dict)
     steps: list[str] = field(default_factory=list)

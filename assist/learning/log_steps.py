@@ -9,6 +9,8 @@ from datetime import UTC, date, datetime, time, timedelta
 from decimal import Decimal
 from typing import Any
 
+from .log_rows import Record
+
 DAY = 24  # units of the larger part of a clock time, hours, in a day
 
 CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}(?:[.,]\d+)?)")
@@ -106,7 +108,7 @@ def _dated(value: date) -> tuple[str, Any] | None:
     return ("date", value) if value.tzinfo is None else ("date with its zone", value.astimezone(UTC))
 
 
-def number_times(records: Sequence[dict[str, Any]]) -> tuple[str | None, list[dict[str, Any]]]:
+def number_times(rows: Sequence[Record]) -> tuple[str | None, list[Record]]:
     """Number the actions of each episode in the order of their times, if steps are times of one kind.
 
     Records whose step is no time of the usual kind stay as they are.
@@ -115,26 +117,27 @@ def number_times(records: Sequence[dict[str, Any]]) -> tuple[str | None, list[di
     -------
     example : str or None
         One of the times; None if all steps are whole numbers.
-    unclear : list of dict
+    unclear : list of Record
         Records of episodes that seem to go on after midnight by clock times without dates.
     """
-    times = [(record, moment(record.get("step"))) for record in records]
-    if all(found is None or type(record["step"]) is int for record, found in times):
+    times = [(row, moment(row[1].get("step"))) for row in rows]
+    if all(found is None or type(record["step"]) is int for (_, record), found in times):
         return None, []
     kinds = Counter(found[0] for _, found in times if found is not None)
     usual = kinds.most_common(1)[0][0] if kinds else ""
     example, unclear = None, []
-    episodes: dict[tuple[str, str], list[tuple[dict[str, Any], Any]]] = {}
-    for record, found in times:
+    episodes: dict[tuple[str, str], list[tuple[Record, Any]]] = {}
+    for row, found in times:
         if found is not None and found[0] == usual:
+            record = row[1]
             names = str(record.get("person")), str(record.get("episode"))
-            episodes.setdefault(names, []).append((record, found[1]))
+            episodes.setdefault(names, []).append((row, found[1]))
             example = example or (None if is_plain(record["step"]) else str(record["step"]))
-    for rows in episodes.values():
-        values = [value for _, value in rows]
+    for episode in episodes.values():
+        values = [value for _, value in episode]
         if usual.startswith("time") and values != sorted(values) and max(values) - min(values) >= DAY / 2:
-            unclear += [record for record, _ in rows]
+            unclear += [row for row, _ in episode]
         place = {value: number for number, value in enumerate(sorted(set(values)))}
-        for record, value in rows:
+        for (_, record), value in episode:
             record["step"] = place[value]
     return example, unclear

@@ -180,16 +180,16 @@ def replay(
     renamed = {old.lower(): new.lower() for old, new in (rename or {}).items()}
     dropped = {words_of(action) for action in drop}
     _check_names(log, matcher, dropped, renamed)
-    episodes: dict[Names, list[Entry]] = {}
+    episodes: dict[Names, list[_Event]] = {}
     for entry in log.entries:
-        episodes.setdefault(entry.names, []).append(entry)
+        episodes.setdefault(entry.names, []).extend(_Event.of(entry, dropped, renamed))
     walks, faults = [], []
     for names in sorted(episodes, key=lambda names: [in_order(name) for name in names]):
-        acted = [entry for entry in episodes[names] if _Event.of(entry, dropped, renamed)]
-        rows = sorted(acted, key=lambda entry: (entry.step, entry.line))
-        twice = next(((a, b) for a, b in pairwise(rows) if a.step == b.step), None)
+        events = sorted(episodes[names], key=lambda event: (event.entry.step, event.entry.line))
+        steps = ((a.entry, b.entry) for a, b in pairwise(events) if a.entry is not b.entry)
+        twice = next(((a, b) for a, b in steps if a.step == b.step), None)
         if twice is None:
-            walks.append(_Walk([event for entry in rows for event in _Event.of(entry, dropped, renamed)]))
+            walks.append(_Walk(events))
         else:
             first, second = twice
             where = f"its step, or time, is on line {first.line} already"
