@@ -223,20 +223,9 @@ def compared(
     fold: NDArray[np.int64], level: float, time_limit: float | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:  # fmt: skip
-    """Compare models on held-out people.
+    """Compare models on held-out people; `fold`, shape (K,), has that of each person, and the others are as above.
 
-    Parameters
-    ----------
-    models : mapping of str to callable
-        What fits each model.
-    people, choices, reference, level
-        As in `Comparison.of`.
-    fold : int array, shape (K,)
-        The fold of each person.
-    time_limit : float, optional
-        Seconds after which no further model is begun; those are in `Comparison.left_out`. The reference is the first.
-    progress : callable, optional
-        Called with the number of models that have been finished since the last call.
+    After the time limit no further model is begun; the reference is the first.
     """
     ends, logs, parameters = Deadline.after(time_limit), dict[str, Floats](), dict[str, dict[str, float]]()
     for name, fit_to in sorted(models.items(), key=lambda model: model[0] != reference):
@@ -258,10 +247,7 @@ def compared(
 def ratio(sums: Floats, counts: Floats | NDArray[np.int64]) -> tuple[float, float]:
     """Return the mean per choice and its standard error over people (ratio estimator, by the delta method).
 
-    Parameters
-    ----------
-    sums, counts : arrays, shape (K,)
-        Total of each person, and the number of their choices.
+    `sums` and `counts`, shape (K,), are each person's total and number of choices.
     """
     found, people = sums.sum() / counts.sum(), len(counts)
     spread = ((sums - found * counts) ** 2).sum() * people / (people - 1)
@@ -269,15 +255,7 @@ def ratio(sums: Floats, counts: Floats | NDArray[np.int64]) -> tuple[float, floa
 
 
 def folds_of(people: int, folds: int) -> NDArray[np.int64]:
-    """Return the fold of each person, shape (K,), in turn.
-
-    Raises
-    ------
-    InputFileError
-        There are fewer than two people.
-    ValueError
-        There are fewer than two folds.
-    """
+    """Return the fold of each person, shape (K,), in turn."""
     if folds < 2:
         raise ValueError(f"folds {folds}: expected 2 or more")
     if people < 2:

@@ -27,17 +27,9 @@ SMALLEST = 1e-3  # least beta of the grid besides 0, as a share of the largest
 
 @dataclass(frozen=True)
 class FirstEstimate:
-    """The estimates of one person before precise intervals are known.
+    """The estimates of one person before precise intervals are known, and the log-likelihood there.
 
-    Attributes
-    ----------
-    person : str
-    values : dict of str to float
-        Of beta, theta and eta, those of which the actions say anything.
-    intervals : dict of str to (float, float)
-        Rough intervals of these: the ends are those of the profile likelihood, interpolated between points of a grid.
-    log_likelihood : float
-        Value at the estimates.
+    `values` are of beta, theta and eta, those of which the actions say anything; `intervals` are rough ones of these.
     """
 
     person: str
@@ -55,14 +47,7 @@ class FirstEstimate:
 
 
 def first_estimates(observations: Sequence[Observations], method: Method) -> list[FirstEstimate]:
-    """Return first estimates of each person, in some hundredths of a second for each.
-
-    Parameters
-    ----------
-    observations : sequence of Observations
-        One for each person.
-    method : Method
-    """
+    """Return first estimates of each person, in some hundredths of a second for each."""
     largest = largest_beta(observations, method)
     return [_of_one(one, method, largest) for one in observations]
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cached_property
 from typing import Any, Literal, TypeAlias, Unpack
 
 import numpy as np
@@ -33,23 +33,12 @@ from .likelihood import SMALL, Method, largest_beta
 from .log import Fault, in_order
 from .maximum_likelihood import maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
-from .observations import Chances, Ints, Observations
+from .observations import Chances, Observations
 from .person_estimate import UNCHECKED, PersonEstimate, nothing_known
 from .population import fit_population, population_of
 
 Model: TypeAlias = Literal["misconceptions", "terms"] | Mapping[str, Term] | ChoiceModel
 """What people's choices depend on besides cost-to-go: see `fit`."""
-
-
-@dataclass(frozen=True)
-class FactsOf:
-    """Returns the facts that hold in states, shape (M,), of a task."""
-
-    costs: CostToGo
-
-    def __call__(self, states: Ints) -> list[list[str]]:
-        """Return the facts of each state."""
-        return [self.costs.task.facts(values) for values in self.costs.values(states).tolist()]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,8 +55,8 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
         Unusable lines of the log.
     method : Method
         Options of the estimation.
-    facts : FactsOf, optional
-        Returns the facts that hold in states, shape (M,), of the task; None if no misconceptions were estimated.
+    costs : CostToGo, optional
+        Of the task in whose states misconceptions were estimated; None without these.
     hierarchy : Hierarchy or None
         The estimated population, if terms were requested.
     chooses : ChoiceModel or None
@@ -78,7 +67,7 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
     unknown: Mapping[str, Mapping[str, Any]]
     faults: tuple[Fault, ...]
     method: Method
-    facts: FactsOf | None = None
+    costs: CostToGo | None = None
     hierarchy: Hierarchy | None = None
     chooses: ChoiceModel | None = None
 
@@ -134,14 +123,14 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
         family : str, optional
             Family of beta's distribution, as in `distribution`.
         """
-        return self._like(self.distribution(family=family))
-
-    def _like(self, distribution: PopulationFit) -> Population:
-        """Return the population that a distribution of these people describes."""
-        found = distribution.population(self.sigma)
+        found = (self._usual if family is None else self.distribution(family=family)).population(self.sigma)
         if self.chooses is None:
             return found
         return Population.mixed(tuple(replace(part, chooses=self.chooses) for part in found.parts), found.shares)
+
+    @cached_property
+    def _usual(self) -> PopulationFit:
+        return self.distribution(progress=False)
 
     def humans(self, *, theta: float | None = None) -> list[Human]:
         """Return people whose true parameters are these estimates, for `Pool.of`.
@@ -159,15 +148,11 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
         ValueError
             Nobody's actions identify a parameter.
         """
-        return self._humans(theta, cache(partial(self.distribution, progress=False)))
-
-    def _humans(self, theta: float | None, distribution: Callable[[], PopulationFit]) -> list[Human]:
-        """Return people with the estimates; `distribution` is asked where somebody's actions do not identify one."""
 
         def known(name: str, own: float | None) -> float:
             if own is not None:
                 return own
-            margin: Margin | None = getattr(distribution(), name)
+            margin: Margin | None = getattr(self._usual, name)
             if margin is None:
                 raise ValueError(
                     "no suggestion in the log says anything about theta; expected a log with suggestions (the column "
@@ -192,12 +177,11 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
         The setting has the estimated rate of trust, eta, and its unit, unless it has a trust rule, also "paper", or a
         rate other than the default.
         """
-        distribution = self.distribution(progress=False)
-        usual, eta = Setting(), distribution.eta
+        usual, eta = Setting(), self._usual.eta
         own = (setting.eta, setting.utility_scale) != (usual.eta, usual.utility_scale)
         if eta is not None and not own and setting.trust is None:
             setting = replace(setting, eta=eta, utility_scale=self.method.utility_scale)
-        return self._humans(None, lambda: distribution), self._like(distribution), setting
+        return self.humans(), self.population(), setting
 
     @property
     def sigma(self) -> tuple[float, float]:
@@ -208,7 +192,7 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
 
     def as_dicts(self) -> list[dict[str, Any]]:
         """Return the results as plain data: a record for each person who is named in the log."""
-        found = [one.as_dict(self.facts) for one in self.people] + [dict(one) for one in self.unknown.values()]
+        found = [one.as_dict(self.costs) for one in self.people] + [dict(one) for one in self.unknown.values()]
         return sorted(found, key=lambda record: in_order(record["person"]))
 
 
@@ -293,8 +277,8 @@ def fit(
         records.append(replace(one, check=checked, misconception=misconception, left_out=left_out))
         if slow:
             advance(1)
-    facts = FactsOf(seen.costs) if misconceptions else None
-    return FittedPeople(tuple(records), unknown, seen.faults, method, facts, hierarchy, chooses)
+    costs = seen.costs if misconceptions else None
+    return FittedPeople(tuple(records), unknown, seen.faults, method, costs, hierarchy, chooses)
 
 
 def _unknown(seen: Evidence) -> dict[str, dict[str, Any]]:
@@ -326,19 +310,7 @@ def with_model(
     The model is evaluated once, in the visited states and in those to which suggestions lead, on a grid of beta.
     Between two grid points, probabilities are interpolated.
 
-    Parameters
-    ----------
-    observations : sequence of Observations
-    chooses : ChoiceModel
-    known : CostToGo
-        Cost-to-go of the task, whose state numbers `Observations.state` has.
-    largest : float
-        Upper end of the range of beta.
-
-    Raises
-    ------
-    UserCodeError
-        The model fails, or does not return probabilities.
+    `known` is the cost-to-go of the task, and `largest` the upper end of the range of beta.
     """
     numbers = [o.state for o in observations]
     after = [o.targets[np.arange(len(o)), np.maximum(o.suggested, 0)] for o in observations]

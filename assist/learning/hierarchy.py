@@ -74,17 +74,10 @@ class Hierarchy(ByContent):
 def fit_hierarchy(
     likelihood: Likelihood, rounds: int = 60, *, known: bool = True, near: Hierarchy | None = None
 ) -> Hierarchy:
-    """Return the estimates of a population and its people.
+    """Return the estimates of a population and its people, after that many EM steps at most.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-    rounds : int
-        Largest number of EM steps.
-    known : bool
-        Whether the learning rate is the likelihood's; otherwise the one of largest marginal likelihood is found.
-    near : Hierarchy, optional
-        Where to begin; with what is best for all people together unless given.
+    Unless the learning rate is `known`, to be that of the likelihood, the one of largest marginal likelihood is found.
+    The search begins with what is best for all people together, unless `near` is given.
     """
     people, size = len(likelihood.people), len(likelihood.ranges.low)
     third = (likelihood.ranges.high - likelihood.ranges.low) / 3
@@ -153,22 +146,9 @@ def pooled(
 ) -> tuple[Likelihood, Floats]:  # fmt: skip
     """Return the coordinates of largest likelihood for all people together, and the likelihood with its learning rate.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-    steps : bool array, shape (N,), optional
-        Steps that are learned from, in whole episodes; all unless given.
-    near : float array, shape (1, P), optional
-        Starting values; no weights, and beta in the middle of its range, unless given.
-    known : bool
-        Whether the learning rate is the likelihood's; otherwise the best of `RATES` is used.
-    costs : bool
-        Whether choices depend on costs.
-
-    Returns
-    -------
-    likelihood : Likelihood
-    at : float array, shape (1, P)
+    The coordinates, shape (1, P), are learned from `steps`, in whole episodes. The search begins at `near` or, unless it
+    is given, without weights and with beta in the middle of its range. Unless the learning rate is `known`, to be that
+    of the likelihood, the best one is found. `costs` says whether choices depend on costs.
     """
     together, fixed = likelihood.together(steps), fixed_of(likelihood, 1)
     fixed[:, BETA] = not costs
@@ -214,21 +194,9 @@ def fixed_of(likelihood: Likelihood, people: int) -> NDArray[np.bool_]:
 
 
 def intervals(likelihood: Likelihood, near: Floats, level: float) -> tuple[Floats, Floats, Floats]:
-    """Return the ends of all people's profile-likelihood intervals.
+    """Return both ends of all people's profile-likelihood intervals, (K, P), and their largest log-likelihoods, (K,).
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-    near : float array, shape (K, P)
-        Starting values.
-    level : float
-
-    Returns
-    -------
-    low, high : float arrays, shape (K, P)
-        Ends of the intervals; the end of a coordinate's range if nothing up to it is rejected.
-    value : float array, shape (K,)
-        The largest log-likelihood.
+    An interval ends at the end of a coordinate's range if nothing up to it is rejected. Searches begin at `near`.
     """
     people, size = near.shape
     fixed = fixed_of(likelihood, people)
@@ -283,14 +251,7 @@ def _end(
 
 
 def fit_terms(observations: Sequence[Observations], method: Method) -> tuple[list[PersonEstimate], Hierarchy]:
-    """Return the estimates of all people's parameters with terms, and the population.
-
-    Parameters
-    ----------
-    observations : sequence of Observations
-        Observations of each person, all with the same terms.
-    method : Method
-    """
+    """Return the estimates of all people's parameters, whose observations have the same terms, and the population."""
     found = fit_hierarchy(Likelihood.of(observations, method), known=method.eta is not None)
     likelihood = found.likelihood
     if method.eta is None and likelihood.steps.told:

@@ -13,15 +13,7 @@ from .observations import Ints
 
 
 def log_likelihoods(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
-    """Return the log-likelihood for each beta and each pair of theta and eta, shape (B, P).
-
-    Parameters
-    ----------
-    data : Data
-    beta : float array, shape (B,)
-    theta, eta : float arrays, shape (P,)
-        Values at the beginning of each episode, and rates of the trust update (equation 7).
-    """
+    """Return the log-likelihood for each beta and each pair of theta at first and eta, shape (B, P)."""
     goals = _by_goal(data, beta, theta, eta)
     return np.asarray(np.logaddexp.reduce(goals, axis=2).sum(axis=1))
 

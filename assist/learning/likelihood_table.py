@@ -97,17 +97,7 @@ class LikelihoodTable(ByContent):
         cls, observations: Sequence[Observations], method: Method, beta: Floats | None = None,
         theta: Floats | None = None,
     ) -> LikelihoodTable:  # fmt: skip
-        """Return the table of observations.
-
-        Parameters
-        ----------
-        observations : sequence of Observations
-            One for each person; episodes in order of time.
-        method : Method
-            Its lapse and its largest beta are used.
-        beta, theta : float arrays, shapes (B,), (T,), optional
-            Nodes: `BETAS` and `THETAS` unless given.
-        """
+        """Return the table of each person's observations, with episodes in order of time, at these nodes."""
         if beta is None:
             top = largest_beta(observations, method)
             beta = np.geomspace(top / BETA_RANGE, top, BETAS)
@@ -143,15 +133,7 @@ class LikelihoodTable(ByContent):
 
     @classmethod
     def of_advised(cls, people: Evidence | Sequence[Observations], method: Method, *, carry: bool) -> LikelihoodTable:
-        """Return the table of a log, or of observations, for an estimate of influence, with the usual nodes.
-
-        Raises
-        ------
-        InputFileError
-            Nothing was ever suggested.
-        ValueError
-            Theta is to be carried, but each episode has one of several goals.
-        """
+        """Return the table of a log, or of observations, for an estimate of influence, with the usual nodes."""
         observations = with_neighbours(people, method.neighbours)
         table = cls.of(observations, method)
         if not table.heard.any():
@@ -179,18 +161,8 @@ class LikelihoodTable(ByContent):
     def thetas(self, rule: TrustRule, *, carry: bool = True) -> tuple[Floats, Floats]:
         """Return theta at each suggestion, shape (K, H, T), and after the last one, (K, T), from each theta_0.
 
-        Unless theta is carried, the latter is that at the end of the last suggestion's episode.
-
-        Parameters
-        ----------
-        rule : TrustRule
-        carry : bool
-            Whether theta is carried from episode to episode; otherwise each begins with theta_0.
-
-        Raises
-        ------
-        ValueError
-            The rule sees silence, and people saw neighbours at times in between that are not known.
+        Unless theta is carried, each episode begins with theta_0, and the last theta is that at the end of the last
+        suggestion's episode.
         """
         own, steps = parts_of(rule)[0], np.zeros_like(self.silences)
         if may_move(own, False):

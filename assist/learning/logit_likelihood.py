@@ -89,15 +89,9 @@ class Steps(NamedTuple):
 
 @dataclass(frozen=True)
 class Ranges:
-    """Ranges of the coordinates.
+    """Ranges of the coordinates, arrays of shape (2 + J,). `small` is the scale of beta.
 
-    Attributes
-    ----------
-    small : float
-        The scale of beta.
-    low, high : float arrays, shape (2 + J,)
-    told_apart : bool array, shape (2 + J,)
-        Whether choices of the log differ in what each coordinate is about.
+    `told_apart` is whether choices of the log differ in what each coordinate is about.
     """
 
     small: float
@@ -136,16 +130,7 @@ class Ranges:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The log-likelihood of each person's choices, and its derivatives.
-
-    Attributes
-    ----------
-    people, terms : tuple of str
-        Names of K people and of J terms.
-    steps : Steps
-    ranges : Ranges
-    lapse, eta : float
-    """
+    """The log-likelihood of the choices of each of K people, with J terms, and its derivatives."""
 
     people: tuple[str, ...]
     terms: tuple[str, ...]
@@ -159,11 +144,6 @@ class Likelihood:
         """Return the likelihood with the options of a method; an unknown learning rate is 0.
 
         Observations with the same name (in other tasks) are one person's.
-
-        Raises
-        ------
-        ValueError
-            There are no observations, or their terms differ.
         """
         if not observations:
             raise ValueError("terms need people; there are no observations")
@@ -203,28 +183,16 @@ class Likelihood:
         """Return each person's log-likelihood (K,), its gradient (K, P) and its curvature (K, P, P).
 
         The curvature is that of the logit alone, without lapses and the path of theta. It is positive semidefinite, as
-        Newton's method and Laplace's approximation need.
-
-        Parameters
-        ----------
-        at : float array, shape (K, P)
-        who : bool array, shape (K,), optional
-            Whether to compute each person; the others have zeros.
+        Newton's method and Laplace's approximation need. Who is not in `who`, shape (K,), has zeros.
         """
         chosen, gradient, curvature = self._evaluate(at, np.ones(len(at), dtype=bool) if who is None else who)
         value = np.asarray(np.bincount(self.steps.person, chosen, len(at)), dtype=np.float64)
         return value, gradient, curvature
 
     def by_trust(self, at: Floats, theta: Floats, rates: Floats) -> Floats:
-        """Return each person's log-likelihood for each learning rate and theta, shape (K, E, T).
+        """Return each person's log-likelihood for each learning rate and coordinate of theta, shape (K, E, T).
 
-        Parameters
-        ----------
-        at : float array, shape (K, P)
-            Coordinates of which all but theta are used.
-        theta : float array, shape (T,)
-            Coordinates of theta.
-        rates : float array, shape (E,)
+        Of the coordinates `at`, all but theta are used.
         """
         bounds = np.searchsorted(self.steps.person, np.arange(len(at) + 1))
         return _by_trust(at, bounds, self.steps, self.ranges.small, self.lapse, expit(theta), rates)
@@ -367,51 +335,23 @@ def _take_logs(total: Floats, product: Floats, more: float) -> None:
             product[e, t] = 1.0
 
 
-@dataclass(frozen=True)
-class Prior:
-    """Independent normal priors of the coordinates.
-
-    Attributes
-    ----------
-    mean, precision : float arrays, shape (P,)
-        Mean and precision; a precision of 0 is a flat prior.
-    """
+class Prior(NamedTuple):
+    """Independent normal priors of the coordinates, each array of shape (P,). A precision of 0 is a flat prior."""
 
     mean: Floats
     precision: Floats
-
-    @classmethod
-    def none(cls, size: int) -> Prior:
-        """Return a flat prior."""
-        return cls(np.zeros(size), np.zeros(size))
 
 
 def maximise(
     likelihood: Likelihood, start: Floats, fixed: NDArray[np.bool_], prior: Prior | None = None, rounds: int = 100
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the coordinates of largest likelihood of all people, by Newton's method.
+    """Return the coordinates of largest likelihood of all people, by Newton's method, with values and curvatures.
 
-    Trust that reaches 0 or 1 makes several maxima. So the search begins again where another node of theta is better.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-    start : float array, shape (K, P)
-    fixed : bool array, shape (K, P)
-        Whether each coordinate is fixed.
-    prior : Prior, optional
-    rounds : int
-        Largest number of steps.
-
-    Returns
-    -------
-    at : float array, shape (K, P)
-    value : float array, shape (K,)
-        Log-likelihood at these coordinates, plus the prior's log-density up to a constant.
-    curvature : float array, shape (K, P, P)
-        Curvature of the same function.
+    Coordinates have shape (K, P), as have `start` and `fixed`. Values, (K,), are log-likelihoods plus the prior's
+    log-density up to a constant; curvatures, (K, P, P), are of the same function. Trust that reaches 0 or 1 makes
+    several maxima. So the search begins again where another node of theta is better.
     """
-    prior = prior or Prior.none(start.shape[1])
+    prior = prior or Prior(*np.zeros((2, start.shape[1])))
     at, value, curvature = _climbed(likelihood, start, fixed, prior, rounds)
     if not likelihood.steps.told or likelihood.eta == 0.0 or fixed[:, THETA].all():
         return at, value, curvature

@@ -99,21 +99,10 @@ def fit_misconception(fitted: PersonEstimate) -> MisconceptionFit:
 class Uncertain:
     """The alternatives of a person's choices whose perceived cost is uncertain.
 
-    Attributes
-    ----------
-    kept : bool array, shape (N,)
-        Whether each choice depends on uncertain costs.
-    possible : bool array, shape (N, A)
-        Whether each slot is an alternative; avoidable actions into dead ends are not.
-    index : int array, shape (N, A)
-        Index of each alternative in the next three arrays; M for goals, which are recognised.
-    states : int array, shape (M,)
-    cost_to_go : float array, shape (M,)
-        h* of these states.
-    seen : int array, shape (M,)
-        Number of steps in which each state was an alternative.
-    band : int
-        Largest difference of two indices in one choice.
+    `kept` is whether each choice depends on uncertain costs, and `possible`, shape (N, A), whether each of its slots is
+    an alternative; avoidable actions into dead ends are not. `index` has each alternative's place in the next three
+    arrays, shape (M,), or M for goals, which are recognised. `seen` counts the steps in which each state was an
+    alternative, and `band` is the largest difference of two indices in one choice.
     """
 
     kept: NDArray[np.bool_]
@@ -159,13 +148,7 @@ def _near_each_other(index: Ints, size: int) -> Ints:
 
 
 def require_memory(observations: Sequence[Observations], limit_mb: float) -> None:
-    """Check the memory that people's misconceptions would take, before it is allocated.
-
-    Raises
-    ------
-    MemoryError
-        The misconceptions of a person would exceed the limit.
-    """
+    """Check the memory that people's misconceptions would take, before it is allocated."""
     for o in observations:
         uncertain = Uncertain.of(o)
         if uncertain.megabytes > limit_mb:

@@ -31,22 +31,10 @@ BEFORE_ALL = -(2**63)
 
 
 def with_neighbours(people: Evidence | Sequence[Observations], neighbours: Neighbours | None) -> Sequence[Observations]:
-    """Return each person's observations, with what they saw of neighbours.
+    """Return each person's observations, with what they saw of neighbours, whatever the rule is.
 
-    Their places are those in the log or, if it has none, follow from the order of their names.
-
-    Parameters
-    ----------
-    people : Evidence, or sequence of Observations
-        A replayed log, in the task of one goal; or what this function returned, which is returned as it is.
-    neighbours : Neighbours or None
-        Who sees whom; whatever the rule is.
-
-    Raises
-    ------
-    ValueError
-        Each episode has one of several goals, the graph has fewer stations than the log, or there are observations in
-        which nothing was seen, as those of `observed` are.
+    Their places are those in the log or, if it has none, follow from the order of their names. What this function
+    returned is returned as it is. Observations in which nothing was seen, as those of `observed` are, are refused.
     """
     each = observations_of(people)
     if neighbours is None:
@@ -70,14 +58,7 @@ def with_neighbours(people: Evidence | Sequence[Observations], neighbours: Neigh
 def seen_families(own: TrustRule | RuleFamily, neighbours: Neighbours | None = None) -> dict[str, RuleFamily]:
     """Return the rules by which theta moves by what is seen of neighbours, by name, beside a rule of one's own.
 
-    "none" is the person's own rule alone.
-
-    Parameters
-    ----------
-    own : TrustRule or RuleFamily
-        How theta moves by suggestions to oneself: a rule, or a family whose parameters are estimated as well.
-    neighbours : Neighbours, optional
-        Its rule is one of those that are returned, also if it is the user's own, which is taken unchanged.
+    "none" is the person's own rule alone. The rule of `neighbours` is one of them, also if it is the user's own.
     """
     mine, seen = _family(own), _seen(neighbours)
     return {"none": mine} | {name: _joined(mine, name, one) for name, one in seen.items()}

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from planner import CostToGo
 from planner.system.arrays import read_only
 from planner.system.results import Result
 
@@ -125,13 +126,12 @@ class MisconceptionFit(Result):
             )
         ]
 
-    def as_dict(self, facts: Callable[[Ints], list[list[str]]] | None = None) -> dict[str, Any]:
-        """Return the estimates as plain data, with the facts that hold in each state if `facts` returns them."""
-        held = [{}] * len(self.states) if facts is None else [{"facts": some} for some in facts(self.states)]
-        states = [
-            {"cost_to_go": row["cost_to_go"], "perceived": row["perceived"], "seen": row["seen"], **some}
-            for row, some in zip(self.records(), held, strict=True)
-        ]
+    def as_dict(self, costs: CostToGo | None = None) -> dict[str, Any]:
+        """Return the estimates as plain data, with the facts that hold in each state if the task's costs are given."""
+        states = [{name: row[name] for name in ("cost_to_go", "perceived", "seen")} for row in self.records()]
+        if costs is not None:
+            held = map(costs.task.facts, costs.values(self.states).tolist())
+            states = [row | {"facts": facts} for row, facts in zip(states, held, strict=True)]
         return {
             "sigma": self.sigma, "sigma_interval": list(self.interval), "sigma_open": ["above"] * self.open_above,
             "beta": self.beta, "log_likelihood": self.log_likelihood, "log_likelihood_without": self.without,
@@ -329,14 +329,8 @@ class PersonEstimate(Result):
             notes.append(f"the model does not fit (p = {self.check.p:.3f}): {_words(self.check)}")
         return notes
 
-    def as_dict(self, facts: Callable[[Ints], list[list[str]]] | None = None) -> dict[str, Any]:
-        """Return the results as plain data.
-
-        Parameters
-        ----------
-        facts : callable, optional
-            Returns the facts that hold in states, shape (M,), for the states of a misconception.
-        """
+    def as_dict(self, costs: CostToGo | None = None) -> dict[str, Any]:
+        """Return the results as plain data; with the task's costs, states of a misconception have their facts."""
         o = self.observations
         told = o.suggested != NOTHING
         record: dict[str, Any] = {"person": o.person}
@@ -356,7 +350,7 @@ class PersonEstimate(Result):
             "log_likelihood": self.log_likelihood, "check": {"p": self.check.p, **self.check.scores},
         }  # fmt: skip
         if self.misconception is not None:
-            record["misconception"] = self.misconception.as_dict(facts)
+            record["misconception"] = self.misconception.as_dict(costs)
         if o.goals.distinguished:
             record["goals"] = self.goal_posteriors()
         return record | {"left_out": self.left_out, "notes": self.notes, "error": None}
@@ -372,13 +366,7 @@ def nothing_known(person: str, error: str, left_out: int = 0) -> dict[str, Any]:
 
 
 def people_of(people: Mapping[str, PersonEstimate] | Iterable[PersonEstimate]) -> list[PersonEstimate]:
-    """Return the estimates of people, also those in the result of `fit`.
-
-    Raises
-    ------
-    TypeError
-        They are something else.
-    """
+    """Return the estimates of people, also those in the result of `fit`."""
     found = list(people.values() if isinstance(people, Mapping) else people)
     wrong = next((one for one in found if not isinstance(one, PersonEstimate)), None)
     if wrong is not None:
@@ -388,15 +376,17 @@ def people_of(people: Mapping[str, PersonEstimate] | Iterable[PersonEstimate]) -
 
 def _words(found: Check) -> str:
     term = found.striking
-    score = found.scores[term] or 0.0 if term is not None else 0.0
-    return {
-        "repetition": "choices are repeated more often than chance has it, as by habit or misconception"
-        if score > 0
-        else "choices in a state are changed more often than chance has it",
-        "large_mistakes": "there are more large mistakes than the small ones suggest"
-        if score > 0
-        else "there are fewer large mistakes than the small ones suggest",
-        "learning": "there are fewer mistakes in later actions"
-        if score > 0
-        else "there are more mistakes in later actions",
-    }.get(term or "", "choices are not those of one beta")
+    if term is None:
+        return "choices are not those of one beta"
+    more, fewer = {
+        "repetition": (
+            "choices are repeated more often than chance has it, as by habit or misconception",
+            "choices in a state are changed more often than chance has it",
+        ),
+        "large_mistakes": (
+            "there are more large mistakes than the small ones suggest",
+            "there are fewer large mistakes than the small ones suggest",
+        ),
+        "learning": ("there are fewer mistakes in later actions", "there are more mistakes in later actions"),
+    }[term]
+    return more if (found.scores[term] or 0.0) > 0 else fewer

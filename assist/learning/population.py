@@ -134,12 +134,7 @@ def fit_population(
 
 
 def population_of(found: Hierarchy) -> PopulationFit:
-    """Return the population of the hierarchical model.
-
-    Parameters
-    ----------
-    found : Hierarchy
-    """
+    """Return the population of the hierarchical model."""
     likelihood, told = found.likelihood, found.likelihood.steps.told
     ranges = likelihood.ranges
     edges = (

@@ -21,16 +21,7 @@ Value = Callable[[Floats], float]
 
 @dataclass(frozen=True)
 class PosteriorSample:
-    """Parameters and their probabilities.
-
-    Attributes
-    ----------
-    points : float array, shape (N, P)
-    shares : float array, shape (N,)
-        Probabilities, which sum to 1.
-    log_integral : float
-        Logarithm of the integral of the likelihood over the parameters.
-    """
+    """N points of parameters, (N, P), their probabilities, (N,), and the log integral of the likelihood over them."""
 
     points: Floats
     shares: Floats

@@ -184,15 +184,7 @@ def _own(family: RuleFamily) -> TrustRule:
 
 
 def family_of(rule: str | TrustRule | RuleFamily, method: Method) -> RuleFamily:
-    """Return the family of a rule: that of a shipped one by its name, or one without parameters to estimate.
-
-    Raises
-    ------
-    UserCodeError
-        It is a rule of the user's own that fails, or returns what is impossible.
-    ValueError
-        There is no such rule.
-    """
+    """Return the family of a rule: that of a shipped one by its name, or one without parameters to estimate."""
     try:
         if isinstance(rule, RuleFamily):
             rule_to_fit(_own(rule))
