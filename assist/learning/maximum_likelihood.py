@@ -82,33 +82,27 @@ def maximum_likelihood(
 def _fit(observations: Observations, method: Method, largest: float) -> PersonEstimate:
     """Return one person's estimates."""
     profiles = Profiles(observations, method, largest)
-    best, at = profiles.maximum()
-    at = _to_the_end(profiles, best, at)
+    best, at = _to_the_end(profiles, *profiles.maximum())
     drop = largest_fall(method.level)
     free = [axis for axis in (BETA, THETA, ETA) if profiles.free(axis)]
     found = {PARAMETERS[axis]: _estimate(profiles, axis, at, best, drop) for axis in free}
     return PersonEstimate(observations, found, best, method.eta, method)
 
 
-def _to_the_end(profiles: Profiles, best: float, at: Floats) -> Floats:
-    """Return the maximum, moved to the end of a coordinate's range if the likelihood there is as large.
+def _to_the_end(profiles: Profiles, best: float, at: Floats) -> tuple[float, Floats]:
+    """Return the maximum, moved to the end of a coordinate's range if the likelihood there is as large or larger.
 
     For a person without errors, the likelihood increases in beta without end, but soon by less than rounding errors.
     """
-    as_large = best - 1e-6  # values of the log-likelihood that differ by less count as equal
     for axis in (BETA, THETA, ETA):
-        if not profiles.free(axis):
-            continue
-        for end in (float(profiles.axes[axis][-1]), float(profiles.axes[axis][0])):
+        for end in (float(profiles.axes[axis][-1]), float(profiles.axes[axis][0])) if profiles.free(axis) else ():
             moved = at.copy()
             moved[axis] = end
-            value = profiles.at(moved)
-            if axis == BETA and value < as_large:
-                value, moved = profiles.largest(BETA, end, at)
-            if value >= as_large:
-                at = moved
+            value, moved = profiles.largest(BETA, end, at) if axis == BETA else (profiles.at(moved), moved)
+            if value >= best - 1e-6:  # values of the log-likelihood that differ by less count as equal
+                best, at = max(best, value), moved
                 break
-    return at
+    return best, at
 
 
 def _estimate(profiles: Profiles, axis: int, at: Floats, best: float, drop: float) -> Estimate:

@@ -570,3 +570,19 @@ def test_theta_may_have_to_lie_in_a_narrow_range() -> None:
         profile = log_likelihood(o, np.geomspace(0.01, 5, 60), theta, np.array([eta])).max()
         if profile > found.log_likelihood - DROP + 1e-3:
             assert found.estimates["eta"].interval[0] <= eta <= found.estimates["eta"].interval[1]
+
+
+def test_the_likelihood_is_that_of_the_estimates_also_at_the_end_of_a_range(paper: Table) -> None:
+    """This person made no mistake, so that beta is the end of its range."""
+    plan = "return box-b", "fetch box-b", "place pliers slot-2 box-a", "fetch box-a", "remove hammer slot-1 box-a"
+    told = dict(zip((2, 3, 5, 7, 8, 9, 10), (*plan, "fetch box-c", "place tape slot-4 box-c"), strict=True))
+    actions = (
+        "fetch box-b", "place wrench slot-3 box-b", "return box-b", "fetch box-a", "place hammer slot-1 box-a",
+        "place pliers slot-2 box-a", "return box-a", "fetch box-a", "return box-a", "fetch box-c",
+        "place tape slot-4 box-c", "return box-c",
+    )  # fmt: skip
+    said = {step: f"({one})" for step, one in told.items()}
+    (o,) = observed(paper, lines(*(f"({one})" for one in actions), told=said))
+    (found,) = maximum_likelihood([o], Method(largest_beta=5.0))
+    own = log_likelihood(o, *(np.array([e.value]) for e in found.estimates.values())).item()
+    assert found.log_likelihood == pytest.approx(own, abs=1e-6)
