@@ -146,9 +146,9 @@ def pooled(
 ) -> tuple[Likelihood, Floats]:  # fmt: skip
     """Return the coordinates of largest likelihood for all people together, and the likelihood with its learning rate.
 
-    The coordinates, shape (1, P), are learned from `steps`, in whole episodes. The search begins at `near` or, unless it
-    is given, without weights and with beta in the middle of its range. Unless the learning rate is `known`, to be that
-    of the likelihood, the best one is found. `costs` says whether choices depend on costs.
+    The coordinates, shape (1, P), are learned from `steps`, in whole episodes. The search begins at `near` or, unless
+    given, without weights and with beta in the middle of its range. Unless the learning rate is `known`, to be that of
+    the likelihood, the best one is found. `costs` says whether choices depend on costs.
     """
     together, fixed = likelihood.together(steps), fixed_of(likelihood, 1)
     fixed[:, BETA] = not costs
@@ -221,7 +221,7 @@ def _end(
     fixed[:, axis] = True
     inside, root_inside = at[:, axis].copy(), np.zeros(len(at))
     outside, root_outside = np.full(len(at), end), np.full(len(at), np.nan)
-    now = at.copy()
+    near = at  # of values that are not rejected: a search from far out may end on a lower maximum
     span = np.abs(end - inside)
     step = np.minimum(wanted * np.maximum(width, 1e-3 * span), span)
     done = span <= 1e-9
@@ -233,10 +233,12 @@ def _end(
         next_in = inside + np.clip(share, 0.2, 0.8) * (outside - inside)
         next_out = np.clip(inside + side * step, likelihood.ranges.low[axis], likelihood.ranges.high[axis])
         value = np.where(done, inside, np.where(bracketed, next_in, next_out))
-        now[:, axis] = value
-        now, reached, _ = maximise(likelihood, now, fixed)
+        begin = near.copy()
+        begin[:, axis] = value
+        now, reached, _ = maximise(likelihood, begin, fixed)
         root = np.sqrt(np.maximum(2 * (best - reached), 0.0))
         over = root > wanted
+        near = np.where(over[:, None], near, now)
         inside, root_inside = np.where(over, inside, value), np.where(over, root_inside, root)
         outside, root_outside = np.where(over, value, outside), np.where(over, root, root_outside)
         step = np.where(over, step, 2 * step)

@@ -196,7 +196,7 @@ def fit_influence(
     population, value = search.fitted(values)
     anew = None
     if carry and (log.anew.sum(axis=1) > 1).any():
-        other = RuleSearch(log, family, False)
+        other = RuleSearch(log, family, False, population)
         anew = other.fitted(other.best())[1]
     joint, last = _beliefs(log, search, points, shares)
     both = joint.sum(axis=0)
