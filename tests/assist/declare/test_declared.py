@@ -40,6 +40,7 @@ from assist.declare.declared import (
 )
 from assist.declare.options import value_of
 from assist.declare.tables import convert, load, replaced
+from assist.people import outcome
 from assist.person import OfRobots, Robot, Setting
 from planner.system.errors import InputFileError
 
@@ -168,18 +169,21 @@ ROBOTS = st.builds(
 )  # fmt: skip
 
 
-RULES = st.sampled_from([None, "paper", "outcome"]) | st.builds(
-    dict, rule=st.just("reliability"), counts=st.integers(0, 9)
-)
+NAMED = st.sampled_from([None, "paper", "constant", "outcome"])
+RULES = (
+    NAMED | st.builds(dict, rule=st.just("reliability"), counts=st.integers(0, 9))
+    | st.builds(outcome, st.floats(0, 5), st.floats(0, 5), st.sampled_from(["true", "never"]))
+)  # fmt: skip
 
 
 @given(st.builds(
     Setting, gamma=st.floats(0.01, 0.99), robots=st.lists(ROBOTS, min_size=1, max_size=3).map(tuple), trust=RULES,
-    c_ask=st.none() | NUMBERS, max_steps=st.integers(1, 10**9), c_move=NUMBERS,
+    believed_trust=RULES, c_ask=st.none() | NUMBERS, max_steps=st.integers(1, 10**9), c_move=NUMBERS,
 ))  # fmt: skip
 def test_plain_data_make_an_equal_object(setting: Setting) -> None:
     assert Setting(**json.loads(json.dumps(plain(setting)))) == setting
     assert hash(Setting(**plain(setting))) == hash(setting)
+    assert {"trust", "believed_trust"}.isdisjoint(plain(Setting()))
 
 
 def classes() -> Iterator[type]:

@@ -128,34 +128,6 @@ def test_sharing_keeps_theta(theta: float) -> None:
     assert (1 - weight) * GRID.theta[low] + weight * GRID.theta[low + 1] == pytest.approx(theta, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("beta", "theta", "message"),
-    [
-        ([1.0, 0.5], [0, 1], "beta: expected one or more ascending"),
-        ([1.0, 1.0], [0, 1], "beta: expected one or more ascending"),
-        ([], [0, 1], "beta: expected one or more ascending"),
-        ([[1.0]], [0, 1], "beta: expected one or more ascending"),
-        ([-1.0], [0, 1], "values from 0 upwards"),
-        ([1.0], [0.5], "theta: expected two or more ascending"),
-        ([1.0], [[0, 1]], "theta: expected two or more ascending"),
-        ([1.0], [0, 0.5, 0.5, 1], "theta: expected two or more ascending"),
-        ([1.0], [0.1, 1], "theta: expected a grid from 0 to 1"),
-        ([1.0], [0, 0.9], "theta: expected a grid from 0 to 1"),
-    ],
-)
-def test_a_grid_is_checked(beta: list[float], theta: list[float], message: str) -> None:
-    with pytest.raises(ValueError, match=f"^{message}|{message}, because|{message}$"):
-        Grid(np.array(beta), np.array(theta, dtype=float))
-
-
-def test_the_smallest_grid_and_its_arrays() -> None:
-    grid = Grid(np.array([0.0]), np.array([0.0, 1.0]))
-    assert grid.shape == (1, 2)
-    for array in (grid.beta, grid.theta):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 0.5
-
-
 def test_a_grid_with_counts_by_hand() -> None:
     """Two goals, two values of beta and of theta, and up to two outcomes."""
     grid = Grid(np.array([1, 2]), np.array([0, 1])).with_counts(2)
