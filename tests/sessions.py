@@ -7,7 +7,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from assist.live.event_base import TeamEvent
-from assist.live.events import Acted, Elapsed, Paused, kinds
+from assist.live.events import Acted, Answered, Arrived, Elapsed, Paused, Undone, kinds
 from assist.live.session import Session
 from assist.live.team import Team
 from assist.people.ranges import Population
@@ -19,13 +19,12 @@ SETTING = Setting(c_suggest=0.02, c_move=0.01, trust="paper")
 WRONG = "(place hammer slot-2 box-a)"
 
 KINDS = [*["acted"] * 5, "undone", "left", "joined", "began", "arrived", "elapsed", "paused", "resumed"]
-HAPPENS = st.lists(
-    st.tuples(
-        st.sampled_from(KINDS),
-        st.integers(0, 2), st.integers(0, 9),
-    ),
-    max_size=25,
-)  # fmt: skip
+DOUBTS = [*["acted"] * 3, "doubted", "alike", "missed", *["answered"] * 2, "retracted"]
+"""Kinds that need an observation model, or people who are asked."""
+HAPPENS, DOUBTFUL = (
+    st.lists(st.tuples(st.sampled_from(kinds), st.integers(0, 2), st.integers(0, 9)), max_size=most)
+    for kinds, most in ((KINDS, 25), (KINDS + DOUBTS, 12))
+)
 
 
 def happen(session: Session, events: list[tuple[str, int, int]], tag: str = "") -> None:
@@ -37,12 +36,24 @@ def happen(session: Session, events: list[tuple[str, int, int]], tag: str = "") 
             event: TeamEvent = Paused(paused=kind == "paused", **once)
         elif kind == "elapsed":
             event = Elapsed(**once)
-        elif kind == "acted":
+        elif kind == "arrived":
+            event = Arrived(person=name, robot=1 + luck % len(session.outlook().robots), **once)
+        elif kind in ("undone", "left", "joined", "began"):
+            event = kinds(TeamEvent)[kind](person=name, **once)
+        elif kind == "retracted":
+            event = Undone(person=name, of="answered", **once)
+        else:
             options = session.person(name)["applicable"] if name in session.people else []
             action = options[luck % len(options)] if options else "(return box-a)"
-            event = Acted(person=name, action=action, seq=luck if luck < 4 else None, **once)
-        else:
-            event = kinds(TeamEvent)[kind](person=name, **once)
+            if kind == "answered":
+                event = Answered(person=name, answer=(True, False, None, action)[luck % 4], **once)
+            else:
+                seen: dict[str, Any] = {
+                    "acted": {"action": action, "seq": luck if luck < 4 else None}, "missed": {"missed": luck / 9},
+                    "alike": {"likelihoods": dict.fromkeys(options, 1.0)},
+                    "doubted": {"likelihoods": {action: luck / 9, "(wait)": 0.1}},
+                }  # fmt: skip
+                event = Acted(person=name, **seen[kind], **once)
         session.report_all([event])
 
 

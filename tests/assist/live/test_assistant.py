@@ -343,31 +343,6 @@ def test_a_team_is_not_restored_with_people_who_choose_otherwise(tiny: Table) ->
         Assistant.from_json(own.to_json(), tiny)
 
 
-def test_a_large_team_has_room_for_more(tiny: Table) -> None:
-    desk = Assistant(tiny, [str(number) for number in range(1000)], setting=Setting(c_suggest=0.05, c_move=0.0))
-    for action in ("(fetch box-a)", WRONG):
-        desk.observe("678", action)
-    desk.join("last")
-    assert desk.recommend().person == "678"
-    assert len(desk.people) == 1001
-
-
-def test_the_robot_is_where_it_says(tiny: Table) -> None:
-    desk = Assistant(tiny, ["ann", "bob"], setting=Setting(c_suggest=0.05, c_move=0.1, travel_time=1))
-    assert desk.robots[0] is None
-    for action in ("(fetch box-a)", WRONG):
-        desk.observe("bob", action)
-    advice = desk.recommend()
-    assert (advice.person, advice.suggestion, advice.arrived) == ("bob", None, False)
-    desk.observe("ann", "(fetch box-a)")
-    assert desk.recommend().arrived is False
-    assert desk.robots[0] == "bob"
-    desk.arrived("bob")
-    assert desk.recommend().suggestion == "(remove hammer slot-2 box-a)"
-    desk.arrived()
-    assert desk.robots[0] is None
-
-
 @pytest.mark.parametrize(
     ("call", "says"),
     [

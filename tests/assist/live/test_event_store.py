@@ -16,10 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import costly
 from graphs import graph_task
-from hypothesis import example, given
-from sessions import EASY, HAPPENS, SETTING, happen
+from sessions import EASY, SETTING
 from store_faults import Failing, schedule
 
 from assist.declare import AbsentError
@@ -27,7 +25,6 @@ from assist.live import Acted, Joined, JournalError, Session, TeamRecord
 from assist.live.live_task import LiveTask
 from assist.live.store import EventStore, stored
 from assist.live.team import Team
-from assist.person.settings import Setting
 from assist.team.priority import Priority
 from planner import InputFileError, Table, sweep
 
@@ -65,48 +62,6 @@ def test_after_an_erasure_the_policy_knows_the_tasks_that_it_knows_after_a_resta
     session = opened()
     assert erased == price(session) == [4 * cheap[0]]
     session.close()
-
-
-@costly(4, 12)
-@given(HAPPENS, HAPPENS)
-@example([("arrived", 1, 0), ("paused", 0, 0)], [])
-def test_an_erased_person_changes_nothing_for_the_others(
-    tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any
-) -> None:
-    """States, beliefs and later decisions are those of a session in which the person has left."""
-    folder = tmp_path_factory.mktemp("sessions")
-    setting = Setting(c_suggest=0.02, c_move=0.01, travel_time=float(len(events) % 2))
-    distance = [[abs(i - j) * 0.5 for j in range(4)] for i in range(4)]
-
-    def opened(file: Path) -> Session:
-        return Session(tiny, file, setting=setting, distance=distance, clock=lambda: 0.0)
-
-    session = opened(folder / "left.sqlite")
-    for name in "abc":
-        session.join(name)
-    happen(session, events)
-    if "b" in session.people:
-        session.leave("b")
-    session.close()
-    shutil.copy(folder / "left.sqlite", folder / "erased.sqlite")
-    left, erased = (opened(folder / f"{name}.sqlite") for name in ("left", "erased"))
-    erased.erase("b", "as asked")
-    later = [event for event in more if event[1] != 1]
-    for step in ([], later):
-        found = []
-        for session in (left, erased):
-            happen(session, step, "later ")
-            views = [session.entry(name) for name in session.people]
-            rows = [row for row in session.log() if row["person"] != "b"]
-            found.append((views, rows, session.recommend(), session.beliefs()))
-        assert found[0] == found[1]
-        erased.close()
-        erased = opened(folder / "erased.sqlite")
-        assert [erased.entry(name) for name in erased.people] == found[1][0]
-        assert erased.beliefs() == found[1][3]
-    assert all(row["person"] != "b" for row in erased.log())
-    left.close()
-    erased.close()
 
 
 def test_nothing_of_an_erased_person_is_in_the_folder(tiny: Table, fixed: Table, tmp_path: Path) -> None:

@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT, costly, kit
-from hypothesis import example, given
-from hypothesis import strategies as st
+from conftest import ROOT, kit
 from test_uncertain_actions import NOISY
 from test_unknown_goals import LAPSE, SMALL, Steps, by_enumeration, three_goals
 
 from assist.declare import InapplicableError, Refusal
-from assist.live import Acted, Answered, Assistant, Began, Question, Session, Undone
+from assist.live import Assistant, Question, Session
 from assist.people import Goals
 from assist.person import ObservationModel, Setting
 from assist.team.questions import GoalQuestion
@@ -259,38 +257,6 @@ def test_what_was_done_last_is_asked_where_that_is_worth_more_than_it_costs() ->
 
 def test_a_policy_that_never_suggests_never_asks() -> None:
     assert Assistant(three_goals("tiny"), ["ann"], setting=ASKS, policy="none").recommend().question is None
-
-
-EVENTS = st.lists(st.tuples(st.sampled_from("adlmuqnbr"), st.integers(0, 5), st.floats(0, 1)), max_size=8)
-
-
-@costly(4, 12)
-@given(EVENTS)
-@example([("d", 0, 0.5), ("n", 0, 0.9), ("l", 0, 0.5), ("n", 0, 0.9)])
-def test_a_session_of_doubtful_actions_and_answers_resumes_to_the_bit(tmp_path_factory: Any, moves: Any) -> None:
-    journal = tmp_path_factory.mktemp("session") / "journal.sqlite"
-    session = Session(three_goals("tiny"), journal, setting=BOTH)
-    session.join("ann")
-    session.join("bob")
-    for kind, number, share in moves:
-        seen = session.person("ann")
-        option = seen["applicable"][number % len(seen["applicable"])] if seen["applicable"] else "(fetch box-a)"
-        event = {
-            "a": Acted(person="ann", action=option),
-            "d": Acted(person="ann", likelihoods={option: share, "(wait)": 0.1}),
-            "l": Acted(person="ann", likelihoods=dict.fromkeys(seen["applicable"], 1.0 + share)),
-            "m": Acted(person="ann", missed=share), "u": Undone(person="ann"),
-            "q": Answered(person="ann", answer=option), "n": Answered(person="ann", answer=share > 0.5),
-            "b": Began(person="ann"), "r": Undone(person="ann", of="answered"),
-        }[kind]  # fmt: skip
-        session.report_all([event])
-    before = session.beliefs(), session.entry("ann"), session.entry("bob"), session.log(), session.outlook()
-    session.close()
-    again = Session(three_goals("tiny"), journal, setting=BOTH)
-    assert (again.beliefs(), again.entry("ann"), again.entry("bob"), again.log(), again.outlook()) == before
-    again.erase("ann", "asked for")
-    assert b"ann" not in b"".join(file.read_bytes() for file in journal.parent.iterdir())
-    again.close()
 
 
 def test_malformed_reports_are_refused_in_one_sentence_and_change_nothing(tmp_path: Path) -> None:

@@ -6,18 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from conftest import costly
-from hypothesis import example, given
-from hypothesis import strategies as st
-from sessions import EASY, HAPPENS, SETTING, all_of
+from sessions import EASY, SETTING
 from starlette.testclient import TestClient
 
-from assist.declare import InapplicableError, Refusal, plain
-from assist.live import Acted, Arrived, Assistant, Elapsed, Joined, Paused, Session
-from assist.live.event_base import TeamEvent
-from assist.live.events import kinds
+from assist.declare import InapplicableError, Refusal
+from assist.live import Acted, Arrived, Assistant, Joined, Session
 from assist.live.live_setting import LiveSetting
 from assist.people.ranges import Population
 from assist.person import Robot, Setting
@@ -142,41 +136,6 @@ def test_two_robots_that_report_the_same_arrival(tiny: Table, tmp_path: Path) ->
     assert isinstance(own, InapplicableError)
     assert "(fetch box-a) is not applicable" in str(own)
     assert [one.location for one in session.outlook().robots] == ["ann", "ann"]
-    session.close()
-
-
-@costly(4, 12)
-@given(events=HAPPENS, seed=st.integers(0, 10**6))
-@example(events=[("arrived", 0, 0), ("elapsed", 0, 0), ("paused", 0, 0), ("elapsed", 0, 0)], seed=0)
-def test_a_session_of_two_robots_is_restored(
-    tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, int, int]], seed: int
-) -> None:
-    rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("session")
-    robots = (Robot(c_suggest=0.5), Robot(c_suggest=0.0, c_move=0.0, travel_time=1))
-    options: dict[str, Any] = {"setting": Setting(**plain(SETTING) | {"robots": robots}), "population": EASY}
-    session = Session({"tiny": tiny}, folder / "one.sqlite", **options)
-    session.report_all([Joined(person=name) for name in "abc"])
-    for kind, who, luck in events:
-        name: str | None = None if kind in ("elapsed", "paused", "resumed") else "abc"[who]
-        robot = int(rng.integers(1, 3))
-        if name is None:
-            event: TeamEvent = Elapsed() if kind == "elapsed" else Paused(paused=kind == "paused")
-        elif kind == "arrived":
-            event = Arrived(person=name, robot=robot)
-        elif kind == "acted":
-            choices = session.person(name)["applicable"] if name in session.people else []
-            event = Acted(person=name, action=choices[luck % len(choices)] if choices else "(return box-a)")
-        else:
-            event = kinds(TeamEvent)[kind](person=name)
-        session.report_all([event])
-    seen = all_of(session)
-    session.close()
-    session = Session({"tiny": tiny}, folder / "one.sqlite", **options)
-    assert all_of(session) == seen
-    assert len(session.outlook().robots) == 2
-    believed = session.beliefs()
-    session.erase("a", "wished so")
-    assert all(session.beliefs()[name] == belief for name, belief in believed.items() if name != "a")
     session.close()
 
 
