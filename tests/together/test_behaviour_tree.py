@@ -7,8 +7,8 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
+from beside import Here
 from conftest import ROOT
-from test_mqtt import Here
 from test_ros2 import DRIVES
 
 from assist.live.simulated_person import SimulatedPerson

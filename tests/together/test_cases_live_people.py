@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from beside import Here
 from conftest import costly, kit
 from hypothesis import given
 from hypothesis import strategies as st
 from sessions import EASY, SETTING
 from test_live_web import Web
-from test_mqtt import Broker, Here, broker, settings_file
+from test_mqtt import Broker, broker, settings_file
 
 from assist.connect.bridges.ordering import FAR, InOrder
 from assist.declare import Refusal

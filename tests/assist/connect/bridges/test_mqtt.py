@@ -12,27 +12,23 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Coroutine, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import click
-import httpx2 as httpx
 import pytest
+from beside import Here, acted, plans, until
 from conftest import ROOT, kit
+from networks import free_port
 from serving import served
-from starlette.testclient import TestClient
 
 from assist.cli.options.bridges import bridge_of
 from assist.connect.bridges import Bridge, Mqtt, MqttSettings
-from assist.live import Joined, Left, Session
+from assist.live import Left
 from assist.live.live_setting import LiveSetting
-from assist.web.app import make_app
-from assist.web.server import listen, run
-from assist.web.service import Service
-from assist.web.tokens import AccessTokens
-from planner import Table
+from assist.web.server import listen
 
 aiomqtt = pytest.importorskip("aiomqtt")
 iotcore = pytest.importorskip("iotcore")
@@ -84,11 +80,6 @@ kits = "secret"
 """Settings of a broker that speaks TLS and asks for a password."""
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        return int(listening.getsockname()[1])
-
-
 class Broker:
     """A real broker in a process of its own, which forgets everything when it is killed."""
 
@@ -127,61 +118,10 @@ def broker() -> Iterator[Broker]:
     made.stop()
 
 
-class Here:
-    """A service in this process, with a bridge beside it."""
-
-    def __init__(self, folder: Path, people: list[str], setting: LiveSetting | None = None) -> None:
-        folder.mkdir(exist_ok=True)
-        # No decisions by the clock: what a session does then follows from its events alone.
-        setting = setting or LiveSetting(c_suggest=0.1, tick=3600.0)
-        self.session = Session({"tiny": kit("tiny")}, folder / "journal.sqlite", setting=setting)
-        self.session.report_all([Joined(person=name) for name in people])
-        self.service = Service(self.session, AccessTokens.kept(folder / "secret", "http://testserver"))
-        self.app = make_app(self.service)
-        self.headers = {"Authorization": f"Bearer {self.service.access.operator}"}
-
-    def run(self, file: Path, work: Callable[[], Coroutine[Any, Any, None]], **options: Any) -> None:
-        """Serve until the work is done; a bridge with the settings in the file runs meanwhile."""
-        listening = listen("127.0.0.1", 0)
-        link = f"http://127.0.0.1:{listening.getsockname()[1]}/operator#{self.service.access.operator}"
-        failed = list[Exception]()
-
-        async def beside() -> None:
-            self.bridge = bridge_of(file, len(self.session.outlook().robots))(link, **options)
-            bridge = asyncio.create_task(self.bridge.run())
-            try:
-                await asyncio.wait_for(work(), 120)
-                assert not bridge.done()
-            except Exception as error:  # noqa: BLE001  raised when the service has ended
-                failed.append(error)
-            finally:
-                bridge.cancel()
-                await asyncio.gather(bridge, return_exceptions=True)
-
-        asyncio.run(run(self.app, listening, lambda: None, beside(), ends=True))
-        for error in failed:
-            raise error
-
-
 def settings_file(folder: Path, broker: Broker, text: str = SETTINGS) -> Path:
     file = folder / "bridge.toml"
     file.write_text(text.replace("PORT", str(broker.port)))
     return file
-
-
-def plans(table: Table, people: int, length: int, seed: int) -> dict[str, list[str]]:
-    """Return a random walk for each person that ends before the goal."""
-    rng, goal = random.Random(seed), table.space.goal
-    found = {}
-    for number in range(1, people + 1):
-        state, plan = table.space.initial, list[str]()
-        while len(plan) < length:
-            options = {action: to for action, to in table.space.options(state).items() if not goal[to]}
-            action = rng.choice(list(options))
-            state = options[action]
-            plan.append(action)
-        found[f"person-{number}"] = plan
-    return found
 
 
 class Stations:
@@ -196,14 +136,12 @@ class Stations:
         }
         self.total = len(self.open)
         self.answers: dict[str, dict[str, Any]] = {}
-        self.advice: dict[str, Any] = {}
 
     async def work(self, window: int = 4) -> None:
         while self.open:
             with suppress(aiomqtt.MqttError, OSError):
                 async with self.broker.client() as client:
-                    for topic in ("line/+/answers", "line/+/advice", "line/robot", "line/assistant"):
-                        await client.subscribe(topic, qos=1)
+                    await client.subscribe("line/+/answers", qos=1)
                     reading = asyncio.create_task(self._read(client))
                     try:
                         while self.open and not reading.done():
@@ -225,31 +163,20 @@ class Stations:
 
     async def _read(self, client: Any) -> None:
         async for message in client.messages:
-            topic = str(message.topic).split("/")
-            if topic[-1] != "answers":
-                self.advice[str(message.topic)] = message.payload
-                continue
             answer = json.loads(message.payload)
             first = self.answers.setdefault(answer["id"], answer)
             assert answer["status"] == "recorded", answer
             assert first["seq"] == answer["seq"]  # a repetition gets the first answer
-            self.open.pop((topic[1], answer["number"]), None)
+            self.open.pop((str(message.topic).split("/")[1], answer["number"]), None)
 
 
-def events_of(stations: Stations, plans: dict[str, list[str]]) -> list[tuple[str, dict[str, str]]]:
-    """Return who acted and the body of each report, in the order in which the service recorded them."""
+def reports_of(stations: Stations, plans: dict[str, list[str]]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield each report in the order in which the service recorded them."""
     events = sorted((answer["seq"], identifier) for identifier, answer in stations.answers.items())
     assert len({seq for seq, _ in events}) == len(events) == stations.total
-    found = []
     for _, identifier in events:
         name, _, number = identifier.rpartition("-")
-        found.append((name, {"action": plans[name][int(number) - 1], "id": identifier}))
-    return found
-
-
-def done_of(rows: Iterable[dict[str, Any]], plans: dict[str, list[str]]) -> dict[str, list[str]]:
-    listed = list(rows)
-    return {name: [row["action"] for row in listed if row["person"] == name] for name in plans}
+        yield acted(name, plans[name][int(number) - 1], id=identifier)
 
 
 async def with_kills(broker: Broker, stations: Stations, kills: int) -> None:
@@ -265,14 +192,21 @@ async def with_kills(broker: Broker, stations: Stations, kills: int) -> None:
     await working
 
 
-def test_each_action_happens_once_although_messages_and_the_broker_are_lost(broker: Broker, tmp_path: Path) -> None:
-    """The beliefs equal those of the same events over HTTP, bit for bit."""
-    walks = plans(kit("tiny"), 4, 6, seed=1)
-    here, there = Here(tmp_path / "mqtt", list(walks)), Here(tmp_path / "http", list(walks))
-    stations = Stations(broker, walks, seed=2)
+@pytest.mark.parametrize(
+    ("people", "length", "kills", "again"), [(4, 6, 1, 0.3), pytest.param(20, 12, 5, 1.0, marks=pytest.mark.slow)]
+)
+def test_each_action_happens_once_although_messages_and_the_broker_are_lost(
+    broker: Broker, tmp_path: Path, people: int, length: int, kills: int, again: float
+) -> None:
+    """Of twenty people with equal pasts, many are equally worth a suggestion.
+
+    So another last bit of one belief would alter suggestions, and with them other beliefs.
+    """
+    walks = plans(kit("tiny"), people, length, seed=1)
+    here, stations = Here(tmp_path / "mqtt", list(walks)), Stations(broker, walks, seed=2, again=again)
 
     async def work() -> None:
-        await with_kills(broker, stations, 1)
+        await with_kills(broker, stations, kills)
         expected = {f"line/{name}/advice": json.loads(here.service.views[name]) for name in walks}
         async with broker.client() as client:  # advice is retained, also by a broker that was killed
             await client.subscribe("line/#", qos=1)
@@ -286,13 +220,8 @@ def test_each_action_happens_once_although_messages_and_the_broker_are_lost(brok
                     return
 
     here.run(settings_file(tmp_path, broker), work)
-    assert here.bridge.counts["connections"] == 2
-    with TestClient(there.app, headers=there.headers) as client:
-        for name, body in events_of(stations, walks):
-            assert client.post(f"/api/people/{name}/actions", json=body).status_code == 200
-    for one in (here, there):
-        assert done_of(one.session.history.log(), walks) == walks
-    assert here.session.history.beliefs() == there.session.history.beliefs()
+    assert here.bridge.counts["connections"] == kills + 1
+    here.is_as_over_http(reports_of(stations, walks), walks)
 
 
 def test_advice_of_an_earlier_session_is_removed_and_that_of_this_one_is_kept(
@@ -325,38 +254,18 @@ def test_advice_of_an_earlier_session_is_removed_and_that_of_this_one_is_kept(
 
 
 @pytest.mark.slow
-def test_twenty_people_and_five_kills_of_the_broker(broker: Broker, tmp_path: Path) -> None:
-    """Every action happens once and in order, and the beliefs equal those of the same events over HTTP, bit for bit.
+def test_a_killed_bridge_is_shown_as_offline(broker: Broker, tmp_path: Path) -> None:
+    async def said(wanted: bytes) -> None:
+        async with broker.client() as client:
+            await client.subscribe("line/assistant", qos=1)
+            async for message in client.messages:
+                if message.payload == wanted:
+                    return
 
-    Of twenty people with equal pasts, many are equally worth a suggestion. So another last bit of one belief would
-    alter suggestions, and with them other beliefs.
-    """
-    walks = plans(kit("tiny"), 20, 12, seed=3)
-    options = ("--humans", 20, "--set", "tick=3600", "--c-suggest", 0.1)
-    # Stations that repeat everything three times a second would keep a small machine busy with repetitions.
-    stations = Stations(broker, walks, seed=4, again=1.0)
-    with served(*options, "--bridge", settings_file(tmp_path, broker)) as mqtt, served(*options) as http:
-        asyncio.run(with_kills(broker, stations, 5))
-        headers = {"Authorization": f"Bearer {http.token()}"}
-        with httpx.Client(base_url=http.url, headers=headers, timeout=120) as client:
-            for name, body in events_of(stations, walks):
-                assert client.post(f"/api/people/{name}/actions", json=body).status_code == 200
-        for one in (mqtt, http):
-            rows = one.ask("GET", "/api/log").text.splitlines()
-            assert done_of(map(json.loads, rows), walks) == walks
-        here, there = (one.ask("GET", "/api/team").json()["people"] for one in (mqtt, http))
-        for mine, theirs in zip(here, there, strict=True):
-            assert (mine["belief"], mine["suggestion"]) == (theirs["belief"], theirs["suggestion"])
-        mqtt.process.kill()
-
-        async def will() -> None:
-            async with broker.client() as client:
-                await client.subscribe("line/assistant", qos=1)
-                async for message in client.messages:
-                    if message.payload == b"offline":
-                        return
-
-        asyncio.run(asyncio.wait_for(will(), 30))
+    with served("--humans", 2, "--bridge", settings_file(tmp_path, broker)) as service:
+        asyncio.run(asyncio.wait_for(said(b"online"), 60))
+        service.process.kill()
+        asyncio.run(asyncio.wait_for(said(b"offline"), 30))
 
 
 @pytest.mark.slow
@@ -400,147 +309,102 @@ def test_nothing_that_the_service_sends_waits_for_more() -> None:
             assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
-def test_two_robots_have_a_topic_each(
+LINE = """
+[broker]
+host = "127.0.0.1"
+port = PORT
+[[observe]]
+topic = "scan/{person}"
+pattern = '(?P<scan>\\w+): (?P<verb>TAKE|PUT) (?P<code>\\d+)'
+action = "({verb} {code})"
+id = "{scan}"
+[[observe]]
+topic = "worker"
+person = "{name}"
+[[observe]]
+topic = "next/{person}"
+event = "began"
+[answers]
+topic = "answers/{person}"
+[advice]
+topic = "advice/{person}"
+[arrived]
+topic = "robot/{robot}/arrived"
+[robot]
+topic = "robot/{robot}"
+fields = ["person", "location", "arrived"]
+[names]
+TAKE = "fetch"
+4711 = "box-b"
+"""
+
+
+def test_texts_of_scanners_refusals_and_two_robots(
     broker: Broker, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:  # fmt: skip
-    topics = """
-    [broker]
-    host = "127.0.0.1"
-    port = PORT
-    [observe]
-    topic = "line/{person}/action"
-    [robot]
-    topic = "robot/{robot}"
-    [arrived]
-    topic = "robot/{robot}/arrived"
-    """
     setting = LiveSetting(c_suggest=0.01, c_move=0.01, trust="paper", travel_time=1, robots=2, tick=3600.0)
-    here, seen = Here(tmp_path / "session", ["ann", "bob"], setting), dict[str, dict[str, Any]]()
+    here, seen = Here(tmp_path / "session", ["ann", "bob"], setting), dict[str, Any]()
 
     async def work() -> None:
         async with broker.client() as client:
-            await client.subscribe("robot/+", qos=1)
-
-            async def until(done: Callable[[], bool]) -> None:
-                while not done():
-                    message = await anext(client.messages)
-                    seen[str(message.topic)] = json.loads(message.payload)
-
-            await until(lambda: len(seen) == 2)
-            for person in ("ann", "bob"):
-                for number, action in enumerate(("(fetch box-a)", "(place hammer slot-2 box-a)")):
-                    report = {"action": action, "id": f"{person}-{number}"}
-                    await client.publish(f"line/{person}/action", json.dumps(report), qos=1)
-            await until(lambda: {one["person"] for one in seen.values()} == {"ann", "bob"})
-            assert not any(one["arrived"] for one in seen.values())
-            for number in ("0", "3", "x"):
-                await client.publish(f"robot/{number}/arrived", b'{"person": "ann"}', qos=1)
-            to = seen["robot/2"]["person"]
-            await client.publish("robot/2/arrived", json.dumps({"person": to, "id": "1"}), qos=1)
-            await until(lambda: seen["robot/2"]["arrived"])
-            assert not seen["robot/1"]["arrived"]
-            assert here.session.outlook().robots[1].location == to
-
-    here.run(settings_file(tmp_path, broker, topics), work)
-    for number in ("0", "3", "x"):
-        assert f"MQTT: arrival of a robot: robot '{number}'; expected a number from 1 to 2" in caplog.text
-    for topic, wrong in (("robot/{robot}", "robot"), ("robot/{robot}/arrived", "robots/arrived")):
-        file = settings_file(tmp_path, broker, topics.replace(f'"{topic}"', f'"{wrong}"'))
-        bridge_of(file)  # one robot needs no number
-        with pytest.raises(click.UsageError, match=rf"topic: '{wrong}'; expected {{robot}} in it"):
-            bridge_of(file, 2)
-
-
-def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path) -> None:
-    file = settings_file(
-        tmp_path,
-        broker,
-        """
-        [broker]
-        host = "127.0.0.1"
-        port = PORT
-        [[observe]]
-        topic = "scan/{person}"
-        pattern = '(?P<scan>\\w+): (?P<verb>TAKE|PUT) (?P<code>\\d+)'
-        action = "({verb} {code})"
-        id = "{scan}"
-        [[observe]]
-        topic = "worker"
-        person = "{name}"
-        [[observe]]
-        topic = "next/{person}"
-        event = "began"
-        [answers]
-        topic = "answers/{person}"
-        [advice]
-        topic = "advice/{person}"
-        [arrived]
-        topic = "robot/arrived"
-        [robot]
-        topic = "robot"
-        fields = ["person", "location"]
-        [names]
-        TAKE = "fetch"
-        4711 = "box-b"
-        """,
-    )
-    here = Here(tmp_path / "session", ["ann", "bob"])
-    answers, advice, robot = dict[str, dict[str, Any]](), dict[str, bytes](), list[dict[str, Any]]()
-
-    async def work() -> None:
-        async with broker.client() as client:
-            for topic in ("answers/+", "advice/+", "robot"):
+            for topic in ("answers/+", "advice/+", "robot/+"):
                 await client.subscribe(topic, qos=1)
 
             async def until(done: Callable[[], bool]) -> None:
                 while not done():
                     message = await anext(client.messages)
-                    topic = str(message.topic)
-                    if topic == "robot":
-                        robot.append(json.loads(message.payload))
-                    elif topic.startswith("advice"):
-                        advice[topic] = message.payload
-                    else:
-                        answer = json.loads(message.payload)
-                        answers[answer["id"]] = answer | {"to": topic}
+                    topic, said = str(message.topic), json.loads(message.payload or b"null")
+                    seen[said["id"] if topic.startswith("answers") else topic] = said and said | {"to": topic}
 
-            await until(lambda: {"advice/ann", "advice/bob"} <= set(advice))  # so the bridge is there
-            sent = [
-                ("scan/ann", b"s1: TAKE 4711"), ("scan/ann", b"s2: TAKE 4712"), ("scan/eve", b"s3: TAKE 4711"),
-                ("scan/ann", b"a scratch"), ("scan/ann", b"\xff"),
-                ("worker", b'{"name": "bob", "action": "fetch(box-a)", "id": 7}'),
-                ("worker", b'{"name": "../ann", "action": "fetch(box-a)", "id": "x/y"}'),
-                ("worker", b'{"name": "bob", "id": "without"}'), ("worker", b"[]"),
-                ("worker", b'{"id": ' + b"9" * 5000 + b"}"), ("worker", b'{"name": "bob", "id": "\\ud800"}'),
-                ("worker", b'{"person": "\\ud800"}'), ("worker", b'{"person": "' + b"x" * 9000 + b'"}'),
-                ("robot/arrived", b'{"person": "bob", "id": "r"}'), ("robot/arrived", b"?"),
+            def to(number: int) -> Any:
+                return seen[f"robot/{number}"]["person"]
+
+            await until(lambda: {"advice/ann", "advice/bob", "robot/1", "robot/2"} <= set(seen))  # the bridge is there
+            worker = [
+                b'{"name": "ann", "action": "fetch(box-a)", "id": 6}',
+                b'{"name": "ann", "action": "place(hammer, slot-2, box-a)", "id": "a2"}',
+                b'{"name": "bob", "action": "fetch(box-a)", "id": 7}',
+                b'{"name": "bob", "action": "place(hammer, slot-2, box-a)", "id": "b2"}',
+                b'{"name": "../ann", "action": "fetch(box-a)", "id": "x/y"}', b'{"name": "bob", "id": "without"}',
+                b"[]", b'{"id": ' + b"9" * 5000 + b"}", b'{"name": "bob", "id": "\\ud800"}',
+                b'{"person": "' + b"x" * 9000 + b'"}',
             ]  # fmt: skip
-            for topic, payload in sent:
+            scans = (b"s2: TAKE 4712", b"a scratch", b"\xff")
+            arrived = [(f"robot/{number}/arrived", b'{"person": "ann"}') for number in ("0", "3", "x")]
+            for topic, payload in (
+                *(("worker", one) for one in worker), ("scan/eve", b"s3: TAKE 4711"), *arrived,
+                ("robot/1/arrived", b"?"), *(("scan/ann", one) for one in scans),
+            ):  # fmt: skip
                 await client.publish(topic, payload, qos=1)
-            await until(lambda: {"s1", "s2", "s3", "7", "without"} <= set(answers))
-            await until(lambda: any(errand["location"] == "bob" for errand in robot))
-            here_before = here.session.outlook().seq
-            await client.publish("scan/ann", b"s1: TAKE 4711", qos=1)
-            answers.pop("s1")
-            await until(lambda: "s1" in answers)
-            assert here.session.outlook().seq == here_before
+            await until(lambda: {"6", "a2", "7", "b2", "without", "s2", "s3"} <= set(seen) and to(1) != to(2))
+            assert not any(seen[f"robot/{number}"]["arrived"] for number in (1, 2))
+            await client.publish("robot/2/arrived", json.dumps({"person": to(2), "id": "r"}), qos=1)
+            await until(lambda: seen["robot/2"]["arrived"])
+            assert not seen["robot/1"]["arrived"]
+            assert here.session.outlook().robots[1].location == seen["robot/2"]["person"]
             await client.publish("next/ann", b'{"id": "again"}', qos=1)
-            await until(lambda: "again" in answers)
-            assert json.loads(here.service.views["ann"])["steps"] == 0
+            for _ in range(2):  # a repetition is answered, and changes nothing
+                await client.publish("scan/ann", b"s1: TAKE 4711", qos=1)
+                await until(lambda: "s1" in seen)
+                answer = seen.pop("s1")
+            assert (answer["status"], answer["to"]) == ("recorded", "answers/ann")
+            assert json.loads(here.service.views["ann"])["steps"] == 1
             await here.service.report(Left(person="bob"))
-            await until(lambda: advice["advice/bob"] == b"")
+            await until(lambda: seen["advice/bob"] is None)
 
+    file = settings_file(tmp_path, broker, LINE)
     here.run(file, work)
     assert here.bridge.counts["connections"] == 1  # a broker ends the connection of a client that breaks its rules
-    assert (answers["s1"]["status"], answers["s1"]["to"]) == ("recorded", "answers/ann")
-    assert answers["7"]["status"] == "recorded"
-    details = {identifier: answer["detail"] for identifier, answer in answers.items() if answer["status"] == "refused"}
-    assert "4712" in details["s2"]
-    assert "'eve' is not in the team" in details["s3"]
-    assert "there is no field 'action'; the message has " in details["without"]
-    assert done_of(here.session.history.log(), {"ann": [], "bob": []}) == {
-        "ann": ["(fetch box-b)"], "bob": ["(fetch box-a)"],
-    }  # fmt: skip
+    assert {seen[one]["status"] for one in ("6", "a2", "7", "b2", "again")} == {"recorded"}
+    for one, why in (("s2", "4712"), ("s3", "'eve' is not in the team"), ("without", "no field 'action'; the message")):
+        assert why in seen[one]["detail"]
+    for number in ("0", "3", "x"):
+        assert f"MQTT: arrival of a robot: robot '{number}'; expected a number from 1 to 2" in caplog.text
+    for topic, wrong in (('"robot/{robot}"', '"robot"'), ("robot/{robot}/arrived", "robots/arrived")):
+        file = settings_file(tmp_path, broker, LINE.replace(topic, wrong))
+        bridge_of(file)  # one robot needs no number
+        with pytest.raises(click.UsageError, match=rf"topic: '{wrong}'; expected {{robot}} in it".replace('"', "")):
+            bridge_of(file, 2)
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl for a certificate")
@@ -606,8 +470,7 @@ def test_numbers_go_on_after_the_service_has_started_again(broker: Broker, tmp_p
         here = Here(tmp_path / "session", ["ann"] if number == 1 else [])
 
         async def work(number: int = number, action: str = action, here: Here = here) -> None:
-            while not here.bridge.connected:
-                await asyncio.sleep(0.01)
+            await until(lambda: here.bridge.connected)
             async with broker.client() as client:
                 await client.subscribe("line/ann/answers", qos=1)
                 report = {"action": action, "id": str(number), "n": number}

@@ -18,9 +18,9 @@ from typing import Any
 
 import click
 import pytest
+from beside import Here, acted, plans
 from conftest import TESTS, kit
-from starlette.testclient import TestClient
-from test_mqtt import Here, done_of, free_port, plans
+from networks import free_port
 
 from assist.cli.options.bridges import bridge_of
 from assist.live import Left
@@ -125,10 +125,8 @@ class Station:
 
 
 def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tmp_path: Path) -> None:
-    """The beliefs equal those of the same events over HTTP, bit for bit."""
     (walk,) = plans(kit("tiny"), 1, 6, seed=1).values()
-    people = ["person-1", "person-2"]
-    here, there = Here(tmp_path / "opcua", people), Here(tmp_path / "http", people)
+    here = Here(tmp_path / "opcua", ["person-1", "person-2"])
     (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", str(plant.port)))
     lights = list[str]()
 
@@ -153,16 +151,9 @@ def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tm
         assert (await Station(plant, "B").show("done", at="Next"))["status"] == "recorded"
 
     here.run(file, work)
-    with TestClient(there.app, headers=there.headers) as client:
-        for action in walk:
-            assert client.post("/api/people/person-1/actions", json={"action": action}).status_code == 200
-        body = {"action": "(fetch box-b)"}
-        assert client.post("/api/people/person-2/actions", json=body).status_code == 200
-        assert client.post("/api/people/person-2/begin").status_code == 200
-    expected = {"person-1": walk, "person-2": ["(fetch box-b)"]}
-    for one in (here, there):
-        assert done_of(one.session.history.log(), expected) == expected
-    assert here.session.history.beliefs() == there.session.history.beliefs()
+    reports = [acted("person-1", action) for action in walk]
+    reports += [acted("person-2", "(fetch box-b)"), ("people/person-2/begin", {})]
+    here.is_as_over_http(reports, {"person-1": walk, "person-2": ["(fetch box-b)"]})
 
 
 def test_a_server_may_ask_for_a_password_and_a_node_that_it_does_not_have_is_named(
@@ -245,12 +236,10 @@ async def connected(port: int, **options: Any) -> Any:
 def test_systems_that_poll_have_a_server_with_a_password_once_its_address_is_free(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """They report by values and calls; the beliefs equal those of the same events over HTTP, bit for bit."""
+    """They report by values and calls."""
     monkeypatch.setenv("KITASSIST_OPCUA_PASSWORD", "secret")
     (walk,) = plans(kit("tiny"), 1, 6, seed=1).values()
-    here, there = (
-        Here(tmp_path / name, ["ann", "bob"], Setting(c_suggest=0.01, c_move=0.01)) for name in ("opcua", "http")
-    )
+    here = Here(tmp_path / "opcua", ["ann", "bob"], Setting(c_suggest=0.01, c_move=0.01))
     port = free_port()
     (file := tmp_path / "bridge.toml").write_text(OWN.replace("PORT", str(port)))
     suggested = list[str]()
@@ -324,17 +313,9 @@ def test_systems_that_poll_have_a_server_with_a_password_once_its_address_is_fre
     here.run(file, work)
     assert "Traceback" not in caplog.text
     assert any(suggested)
-    with TestClient(there.app, headers=there.headers) as client:
-        for action in walk:
-            assert client.post("/api/people/ann/actions", json={"action": action}).status_code == 200
-        body = {"action": "(fetch box-b)", "seq": 0}
-        assert client.post("/api/people/bob/actions", json=body).status_code == 200
-        assert client.post("/api/people/bob/begin").status_code == 200
-        assert client.post("/api/robots/1/arrived", json={"person": "bob"}).status_code == 200
-        assert client.post("/api/people/bob/leave").status_code == 200
-    expected = {"ann": walk, "bob": ["(fetch box-b)"]}
-    for one in (here, there):
-        assert done_of(one.session.history.log(), expected) == expected
-    assert here.session.history.beliefs() == there.session.history.beliefs()
+    reports = [acted("ann", action) for action in walk]
+    reports += [acted("bob", "(fetch box-b)", seq=0), ("people/bob/begin", {})]
+    reports += [("robots/1/arrived", {"person": "bob"}), ("people/bob/leave", {})]
+    here.is_as_over_http(reports, {"ann": walk, "bob": ["(fetch box-b)"]})
     counted = {"values": 10, "calls": 8, "messages": 13, "recorded": 10, "refused": 3}
     assert counted.items() <= here.bridge.counts.items()

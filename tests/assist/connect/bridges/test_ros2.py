@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from beside import Here, done_of, plans
 from conftest import kit
+from networks import free_port
 from rosbridge import Rosbridge
-from test_mqtt import Here, done_of, free_port, plans
 
 from assist.connect.bridges import Ros2Settings
 from assist.live import Acted, Left

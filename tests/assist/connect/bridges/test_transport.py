@@ -6,25 +6,23 @@ import asyncio
 import json
 import sys
 import unicodedata
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from test_mqtt import Here
+from beside import Here, until
 
 import assist.connect
 from assist.cli.options.bridges import bridge_of
-from assist.connect.bridges import Bridge, Faulty, Located, Message, Report, Reported, Transport
+from assist.connect.bridges import Bridge, Faulty, Located, Message, Report, Reported, Transport, kernel
 from assist.connect.bridges.errands import Errands
-from assist.connect.bridges.kernel import STRANGERS
 from assist.connect.bridges.mqtt_settings import MqttSettings
 from assist.connect.bridges.transport import Drove, Output
 from assist.declare.refusals import Refusal
 from assist.live import Acted, Joined, Left
-from assist.web.server import listen, run
 from planner.system.errors import MissingExtraError
 
 
@@ -58,29 +56,18 @@ class Queues(Transport):
         return [content for where, content in self.sent if where == key]
 
 
-async def until(said: Callable[[], Any]) -> None:
-    while not said():
-        await asyncio.sleep(0.01)
-
-
 def served(tmp_path: Path, work: Callable[[Here, Queues, Bridge], Coroutine[Any, Any, None]]) -> Here:
     """Run a service with a bridge until the work is done."""
-    here, listening, failed = Here(tmp_path / "session", ["ann", "bob"]), listen("127.0.0.1", 0), list[Exception]()
-    link = f"http://127.0.0.1:{listening.getsockname()[1]}/operator#{here.service.access.operator}"
+    here = Here(tmp_path / "session", ["ann", "bob"])
 
-    async def beside() -> None:
-        bridge = Bridge(queues := Queues(), link, longest_pause=0.1)
-        running = asyncio.create_task(bridge.run())
-        try:
-            await asyncio.wait_for(work(here, queues, bridge), 60)
-        except Exception as error:  # noqa: BLE001  raised when the service has ended
-            failed.append(error)
-        finally:
-            running.cancel()
-            await asyncio.gather(running, return_exceptions=True)
+    def made(link: str) -> Bridge:
+        return Bridge(Queues(), link, longest_pause=0.1)
 
-    asyncio.run(run(here.app, listening, lambda: None, beside(), ends=True))
-    assert failed == []
+    async def all_of_it() -> None:
+        assert isinstance(here.bridge.transport, Queues)
+        await work(here, here.bridge.transport, here.bridge)
+
+    here.run(made, all_of_it)
     return here
 
 
@@ -203,20 +190,9 @@ def test_a_name_is_the_same_sender_in_any_form_of_unicode(tmp_path: Path) -> Non
     served(tmp_path, work)
 
 
-def test_messages_about_nobody_cost_no_memory(tmp_path: Path) -> None:
-    async def work(_: Here, queues: Queues, bridge: Bridge) -> None:
-        await until(lambda: bridge.connected)
-        for number in range(2 * STRANGERS):
-            queues.inbox.put_nowait(act(f"stranger-{number}", "(fetch box-a)", "1", 1))
-        queues.inbox.put_nowait(act("ann", "(fetch box-a)", "1", 1))
-        await until(lambda: bridge.counts["refused"] == 2 * STRANGERS and bridge.counts["recorded"])
-        assert len(bridge._senders) <= STRANGERS + 1
-        assert {"ann", f"stranger-{2 * STRANGERS - 1}"} <= bridge._senders.keys()
-
-    served(tmp_path, work)
-
-
-def test_a_sender_whose_report_is_under_way_is_not_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_about_nobody_cost_no_memory_and_a_sender_whose_report_is_under_way_is_not_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Their first report came before they joined; while strangers report, the second one meets a busy service."""
 
     async def work(here: Here, queues: Queues, bridge: Bridge) -> None:
@@ -233,15 +209,19 @@ def test_a_sender_whose_report_is_under_way_is_not_forgotten(tmp_path: Path, mon
         await report(Joined(person="eve"))
         monkeypatch.setattr(here.service, "report", slow_for_eve)
         queues.inbox.put_nowait(act("eve", "(fetch box-a)", "2", 2))
-        for number in range(2 * STRANGERS):
+        for number in range(2 * strangers):
             queues.inbox.put_nowait(act(f"stranger-{number}", "(fetch box-a)", "1", 1))
-        await until(lambda: bridge.counts["refused"] == 1 + 2 * STRANGERS)
+        await until(lambda: bridge.counts["refused"] == 1 + 2 * strangers)
         queues.inbox.put_nowait(act("eve", "(return box-a)", "3", 3))
-        await until(lambda: bridge.counts["messages"] == 3 + 2 * STRANGERS)
+        await until(lambda: bridge.counts["messages"] == 3 + 2 * strangers)
         assert bridge.waits == []  # the third one does not wait for the first
         gate.set()
         await until(lambda: bridge.counts["recorded"] == 2)
+        assert len(bridge._senders) <= strangers + 1
+        assert {"eve", f"stranger-{2 * strangers - 1}"} <= bridge._senders.keys()
 
+    strangers = 5
+    monkeypatch.setattr(kernel, "STRANGERS", strangers)
     served(tmp_path, work)
 
 
@@ -298,6 +278,22 @@ ROS2 = "[rosbridge]\nurl = 'ws://robot'\n[observe]\ntopic = '/line'"
 OPCUA = "[own_server]\nurl = 'opc.tcp://station'\naction = '{item}'\nid = '{n}'"
 
 
+@pytest.fixture
+def imported_anew(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Bridges are imported again in the test; afterwards all modules, also those first imported in it, are as before."""
+
+    def kept() -> dict[str, Any]:
+        return {name: module for name, module in sys.modules.items() if name.startswith("assist.connect.bridges")}
+
+    before = kept()
+    monkeypatch.delattr(assist.connect, "bridges", raising=False)
+    yield
+    for name in kept():
+        del sys.modules[name]
+    sys.modules.update(before)
+
+
+@pytest.mark.usefixtures("imported_anew")
 @pytest.mark.parametrize(
     ("text", "needed", "unneeded", "message"),
     [
@@ -314,8 +310,8 @@ def test_a_bridge_needs_its_own_extra_only(
 
     def without(package: str) -> None:
         for name in [*sys.modules]:
-            if name.startswith("assist.connect.bridges"):  # to be imported anew
-                monkeypatch.delitem(sys.modules, name)
+            if name.startswith("assist.connect.bridges"):
+                del sys.modules[name]
             elif name.partition(".")[0] == package:
                 monkeypatch.setitem(sys.modules, name, None)
         monkeypatch.setitem(sys.modules, package, None)
