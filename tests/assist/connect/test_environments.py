@@ -19,7 +19,7 @@ from pettingzoo.utils.conversions import parallel_to_aec
 from test_unknown_goals import three_goals
 
 from assist import Pool, simulate
-from assist.connect import parallel_env
+from assist.connect import RobotsEnv, parallel_env
 from assist.connect.gymnasium import ID, TeamEnv, TeamVectorEnv
 from assist.people import Choices, Population, outcome_at_disagreement
 from assist.person import Robot, Setting, shared_task
@@ -29,55 +29,70 @@ from planner import OnDemand, Table
 EPISODES = 3
 
 
-def total(env: TeamEnv, policy: str) -> list[float]:
-    """Return the discounted return of each episode in which a team policy decides."""
-    chooses = env.pool.policy(policy, env.team.travel)
+def total(env: Any, policy: str) -> list[float]:
+    """Return the discounted return of each episode in which a team policy decides, in an environment or for agents."""
+    chooses, agents = env.pool.policy(policy, env.team.travel), isinstance(env, RobotsEnv)
     returns = []
     for episode in range(EPISODES):
-        env.reset(seed=5 if episode == 0 else None)
+        seen, info = env.reset(seed=5 if episode == 0 else None)
         discounted, step, over = 0.0, 0, False
         while not over:
-            action = env.encode(chooses(env.team)) if env.is_free else np.zeros_like(env.action_space.sample())
-            _, reward, terminated, truncated, info = env.step(action)
-            assert not np.any(info["illegal"])
+            if agents:  # each sees its own place first, and possible actions are legal
+                assert all(seen[agent] in env.observation_space(agent) for agent in env.agents)
+                first = [int(seen[agent]["location"][0]) for agent in env.agents]
+                assert first == (env.team.location.reshape(-1) + 1).tolist()
+                actions = env.encode(chooses(env.team))
+                assert all(seen[agent]["action_mask"][number] for agent, number in actions.items())
+                seen, rewards, *_, info = env.step(actions)
+                assert len(set(rewards.values())) == 1
+                illegal, reward, over = [one["illegal"] for one in info.values()], rewards["robot_0"], not env.agents
+            else:
+                np.testing.assert_allclose(seen["cost_to_go"], env.team.cost_to_go()[0], rtol=1e-6)
+                action = env.encode(chooses(env.team)) if env.is_free else np.zeros_like(env.action_space.sample())
+                seen, reward, terminated, truncated, info = env.step(action)
+                illegal, over = info["illegal"], terminated or truncated
+            assert not np.any(illegal)
             discounted += env.pool.setting.gamma**step * reward
-            step, over = step + 1, terminated or truncated
+            step += 1
         returns.append(discounted)
     return returns
 
 
-@pytest.mark.parametrize("policy", thinned(POLICIES, every=4))
-def test_an_episode_is_the_simulators(pool: Pool, policy: str) -> None:
-    found = simulate(pool, policy, humans=2, episodes=EPISODES, seed=5)
-    assert total(TeamEnv(pool, 2), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
-
-
+PLAIN = Setting(c_suggest=0.5)
 RULE = Setting(c_suggest=0.0, c_move=0.0, trust=outcome_at_disagreement(-4.0, 4.0, 4.0), max_steps=40)
 FAR = Setting(c_suggest=0.1, travel_time=2.0, max_steps=8)
 TWO = Setting(c_suggest=0.1, robots=2, max_steps=30)
 DIFFERENT = replace(
     TWO, robots=(Robot(execute=True, c_execute=0.1, c_move=0.4), Robot(c_suggest=0.05, travel_time=1.0))
 )
+GOALS = Setting(c_suggest=0.01, c_move=0.0, knowledge="exact", max_steps=30)
 
 
 @pytest.mark.parametrize(
-    ("policy", "setting", "world"),
+    ("policy", "setting", "world", "kind"),
     [
-        ("attention", RULE, "people"),
-        ("priority", FAR, "model"),
-        ("priority", replace(TWO, travel_time=2.0), "people"),
-        ("priority", DIFFERENT, "people"),
-    ],
+        ("attention", RULE, "people", TeamEnv),
+        ("priority", FAR, "model", TeamEnv),
+        ("priority", replace(TWO, travel_time=2.0), "people", TeamEnv),
+        ("priority", DIFFERENT, "people", TeamEnv),
+        ("attention", GOALS, "people", TeamEnv),
+        ("reactive", GOALS, "model", TeamEnv),
+        ("priority", Setting(c_suggest=0.1), "people", RobotsEnv),
+        ("priority", TWO, "people", RobotsEnv),
+    ]
+    + [pytest.param(*one.values, PLAIN, "people", TeamEnv, marks=one.marks) for one in thinned(POLICIES, every=4)],
 )
-def test_an_episode_is_the_simulators_whatever_the_setting(
-    tiny_choices: Choices, policy: str, setting: Setting, world: str
+def test_an_episode_is_the_simulators(
+    tiny_choices: Choices, policy: str, setting: Setting, world: Any, kind: type[Any]
 ) -> None:
-    pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
+    """A learner is shown the mean cost-to-go under its belief, as a team policy is."""
+    task, easy = (three_goals("tiny"), Population(beta=(0.1, 0.4))) if setting is GOALS else (tiny_choices, None)
+    pool = Pool.sample(task, 4, seed=2, setting=setting, population=easy)
     found = simulate(pool, policy, humans=3, episodes=EPISODES, seed=5, world=world)
-    assert found.interventions.any()
+    assert found.interventions.any() or setting is PLAIN
     assert found.executed.any() == (setting is DIFFERENT)
     assert not found.finished.all() or setting is not FAR  # where some are cut off
-    assert total(TeamEnv(pool, 3, world=world), policy) == pytest.approx(found.discounted_return.tolist())
+    assert total(kind(pool, 3, world=world), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
 
 
 def test_what_a_robot_cannot_do_is_masked(tiny_choices: Choices) -> None:
@@ -112,71 +127,60 @@ def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> 
 
 
 @pytest.mark.parametrize(
-    "options", thinned([{"goals": True}, {"knowledge": "exact", "suggestions": "all"}, {}, {"robots": 2}], every=4)
+    "options",
+    thinned([{"goals": True}, {"knowledge": "exact", "suggestions": "all"}, {}, {"robots": 2}], every=4)
+    + thinned([{"on demand": "tiny", "suggestions": "all"}, {"on demand": "sealed", "suggestions": "all"}]),
 )
 def test_on_rows_that_grow_all_is_seen_as_on_the_whole_task(
-    tiny: Table, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The spaces are the same, and so is whatever is seen and received in many episodes of actions at random."""
-    task, setting = (
-        (three_goals("tiny") if options.pop("goals", False) else tiny),
-        Setting(c_suggest=0.1, max_steps=25, **options),
-    )
+    """The spaces are the same, and so is whatever is seen and received in many episodes of actions at random.
+
+    On demand, the numbers of states and of robot actions are upper bounds; states are numbered as met.
+    """
+    chosen = dict(options)
+    asked = chosen.pop("on demand", None)
+    table = kit(asked or "tiny")
+    task: Any = three_goals("tiny") if chosen.pop("goals", False) else table
+    setting = Setting(c_suggest=0.1, max_steps=25, **chosen)
     monkeypatch.setattr(shared_task, "ROWS", 30)
+    size = {"region": 10**6} if asked else {"states": 1, "region": 10**6}
     whole, part = (
-        TeamVectorEnv(Pool.sample(task, 3, seed=1, setting=setting, **size), 5, 2)
-        for size in ({}, {"states": 1, "region": 10**6})
+        TeamVectorEnv(Pool.sample(one, 3, seed=1, setting=setting, **more), 5, 2)
+        for one, more in ((task, {}), (OnDemand(table.task, jobs=1) if asked else task, size))
     )
     assert part.pool.policies[0].problem.region is not None
-    assert part.observation_space == whole.observation_space
-    assert part.action_space == whole.action_space
+    few, many = (env.single_observation_space["alone"].shape[1] for env in (whole, part))
+    dead, lost = (env.single_observation_space["cost_to_go"].high for env in (whole, part))
+    if asked:
+        assert few <= many == 1 + table.task.most_at_once
+        assert np.diff(table.space.transitions.offsets).max() <= table.task.most_at_once
+        assert (part.single_observation_space["state"].nvec >= len(table)).all()
+        assert (lost == 25 * table.task.action_costs.max(initial=1.0) + 1).all()
+    else:
+        assert (part.observation_space, part.action_space) == (whole.observation_space, whole.action_space)
     rng, helped = np.random.default_rng(3), 0
     seen, other = (env.reset(seed=4)[0] for env in (whole, part))
     for _ in range(40):
+        if asked:
+            seen["cost_to_go"] = np.where(seen["cost_to_go"] == dead, lost, seen["cost_to_go"])
+            assert part.observation_space.contains(other)
+            assert not other["alone"][..., few:].any()
+            other["alone"] = other["alone"][..., :few]
         for name, array in seen.items():
-            np.testing.assert_allclose(other[name], array, rtol=1e-6, err_msg=name)
+            if not asked or name not in ("action_mask", "state"):
+                np.testing.assert_allclose(other[name], array, rtol=1e-6, err_msg=name)
         mask = seen["action_mask"].reshape(5, len(setting.fleet), -1).astype(float)
         actions = np.array([[rng.choice(row.size, p=row / row.sum()) for row in team] for team in mask])
         actions = actions.reshape(whole.action_space.shape)
         helped += int((actions > 0).sum())
-        found, same = whole.step(actions), part.step(actions)
+        person, robot = np.divmod(actions - 1, few)
+        found, same = whole.step(actions), part.step(np.where(actions == 0, 0, 1 + person * many + robot))
+        assert not asked or not same[4]["illegal"].any()
         for k in range(1, 4):
             np.testing.assert_allclose(same[k], found[k], atol=1e-12)
         seen, other = found[0], same[0]
     assert helped > 40
-
-
-@pytest.mark.parametrize("name", thinned(["tiny", "sealed"]))
-def test_states_on_demand_give_the_episodes_of_the_whole_task(name: str) -> None:
-    """Of the spaces, the numbers of states and of robot actions are upper bounds; states are numbered as met."""
-    table, setting = kit(name), Setting(c_suggest=0.1, max_steps=25, suggestions="all")
-    whole, asked = (
-        TeamVectorEnv(Pool.sample(task, 3, seed=1, setting=setting, region=10**6), 5, 2)
-        for task in (table, OnDemand(table.task, jobs=1))
-    )
-    few, many = (env.single_observation_space["alone"].shape[1] for env in (whole, asked))
-    assert few <= many == 1 + table.task.most_at_once
-    assert np.diff(table.space.transitions.offsets).max() <= table.task.most_at_once
-    assert (asked.single_observation_space["state"].nvec >= len(table)).all()
-    rng, seen, other = np.random.default_rng(3), *(env.reset(seed=4)[0] for env in (whole, asked))
-    for _ in range(40):
-        for field, array in seen.items():
-            if field not in ("action_mask", "alone", "state", "cost_to_go"):
-                np.testing.assert_allclose(other[field], array, rtol=1e-6, err_msg=field)
-        dead = seen["cost_to_go"] == whole.single_observation_space["cost_to_go"].high
-        lost = asked.single_observation_space["cost_to_go"].high
-        assert (lost == 25 * table.task.action_costs.max(initial=1.0) + 1).all()
-        np.testing.assert_array_equal(other["cost_to_go"], np.where(dead, lost, seen["cost_to_go"]))
-        np.testing.assert_allclose(other["alone"][..., :few], seen["alone"], rtol=1e-6)
-        assert not other["alone"][..., few:].any()
-        assert asked.observation_space.contains(other)
-        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in seen["action_mask"]])
-        person, robot = np.divmod(actions - 1, few)
-        found, same = whole.step(actions), asked.step(np.where(actions == 0, 0, 1 + person * many + robot))
-        assert not same[4]["illegal"].any()
-        for k in range(1, 4):
-            np.testing.assert_allclose(same[k], found[k], atol=1e-12)
-        seen, other = found[0], same[0]
 
 
 @pytest.mark.slow
@@ -307,16 +311,6 @@ def test_a_team_is_drawn() -> None:
     assert "person 1, step 0" in drawn.render()
 
 
-@pytest.mark.parametrize("actions", [{"robot_0": -1, "robot_1": 0}, {"robot_0": 99, "robot_1": 0}, {"robot_1": 0}])
-def test_an_action_of_an_agent_is_one_of_its_robot(tiny_choices: Choices, actions: dict[str, int]) -> None:
-    env = parallel_env(Pool.sample(tiny_choices, 2, seed=2, setting=Setting(robots=2)), 2)
-    env.reset(seed=1)
-    with pytest.raises(
-        ValueError, match=r"expected (a whole number from 0 to \d+, for each of 2 robots|one of robot_0)"
-    ):
-        env.step(actions)
-
-
 def test_an_environment_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from planner.system.errors import MissingExtraError
 
@@ -386,32 +380,6 @@ def test_pettingzoo_finds_nothing_wrong_with_moving_robots(
     assert make().possible_agents == [f"robot_{number}" for number in range(robots)]
 
 
-@pytest.mark.parametrize("robots", [1, 2])
-def test_an_episode_of_agents_is_the_simulators(tiny_choices: Choices, robots: int) -> None:
-    """Agents that follow a team policy: same returns; each sees its own place first, and possible actions are legal."""
-    pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(c_suggest=0.1, robots=robots))
-    found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5)
-    env = parallel_env(pool, 3)
-    chooses, returns = pool.policy("priority", env.team.travel), []
-    for episode in range(EPISODES):
-        seen, _ = env.reset(seed=5 if episode == 0 else None)
-        discounted, step = 0.0, 0
-        while env.agents:
-            for agent in env.agents:
-                assert seen[agent] in env.observation_space(agent)
-            first = [int(seen[agent]["location"][0]) for agent in env.agents]
-            assert first == (env.team.location.reshape(-1) + 1).tolist()
-            actions = env.encode(chooses(env.team))
-            assert all(seen[agent]["action_mask"][number] for agent, number in actions.items())
-            seen, reward, *_, info = env.step(actions)
-            assert not any(info[agent]["illegal"] for agent in info)
-            assert len(set(reward.values())) == 1
-            discounted += pool.setting.gamma**step * reward["robot_0"]
-            step += 1
-        returns.append(discounted)
-    assert returns == pytest.approx(found.discounted_return.tolist())
-
-
 def test_of_two_robots_that_want_the_same_person_the_first_goes_there(tiny_choices: Choices) -> None:
     env = parallel_env(Pool.sample(tiny_choices, 2, seed=2, setting=Setting(robots=2)), 2)
     env.reset(seed=1)
@@ -419,24 +387,6 @@ def test_of_two_robots_that_want_the_same_person_the_first_goes_there(tiny_choic
     assert [info[agent]["illegal"] for agent in env.agents] == [False, True]
     assert seen["robot_0"]["location"].tolist() == [1, 0]
     assert seen["robot_1"]["location"].tolist() == [0, 1]
-    with pytest.raises(ValueError, match="actions: expected one of robot_1"):
-        env.step({"robot_0": 0})
-    with pytest.raises(ValueError, match=r"action .* expected a whole number from 0 to"):
-        env.step({"robot_0": 0, "robot_1": 999})
-
-
-@pytest.mark.parametrize("world", ["people", "model"])
-def test_an_episode_is_the_simulators_where_goals_are_unknown(world: str) -> None:
-    """A learner is shown the mean cost-to-go under its belief, as a team policy is."""
-    setting = Setting(c_suggest=0.01, c_move=0.0, knowledge="exact", max_steps=30)
-    pool = Pool.sample(three_goals("tiny"), 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.4)))
-    for policy in ("reactive", "attention"):
-        found = simulate(pool, policy, humans=2, episodes=EPISODES, seed=5, world=world)
-        assert found.interventions.any()
-        assert total(TeamEnv(pool, 2, world=world), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
-    env = TeamEnv(pool, 2, world=world)
-    seen, _ = env.reset(seed=3)
-    for _ in range(5):
-        np.testing.assert_allclose(seen["cost_to_go"], env.team.cost_to_go()[0], rtol=1e-6)
-        seen = env.step(0)[0]
-    assert seen["belief"].shape == (2, *pool.policies[0].pomdp.prior.shape)
+    for actions in ({"robot_0": -1, "robot_1": 0}, {"robot_0": 0, "robot_1": 999}, {"robot_0": 0}, {"robot_1": 0}):
+        with pytest.raises(ValueError, match=r"a whole number from 0 to \d+, for each of 2 robots|one of robot_[01]"):
+            env.step(actions)

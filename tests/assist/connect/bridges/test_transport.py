@@ -280,7 +280,7 @@ OPCUA = "[own_server]\nurl = 'opc.tcp://station'\naction = '{item}'\nid = '{n}'"
 
 @pytest.fixture
 def imported_anew(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Bridges are imported again in the test; afterwards all modules, also those first imported in it, are as before."""
+    """Bridges are imported again in the test; afterwards all modules are as before, also those first imported in it."""
 
     def kept() -> dict[str, Any]:
         return {name: module for name, module in sys.modules.items() if name.startswith("assist.connect.bridges")}
