@@ -174,8 +174,8 @@ class Goals:
             if table.space.numbering is not first.space.numbering:
                 raise ValueError(
                     f"goal '{name}' has states of its own, as its table is of another call of `sweep_goals`, or as the "
-                    "goal compares a number of which only some values are told apart, or as it or an action reads "
-                    "derived predicates; expected a goal of facts"
+                    "goal compares a number of which only some values are told apart; expected a goal of facts, or "
+                    "of other numbers"
                 )
             h, holds = table.lookup([table.initial])[0], table.is_goal([table.initial])[0]
             if holds or h == np.inf:

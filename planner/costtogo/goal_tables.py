@@ -2,11 +2,11 @@
 
 The goals are those of problem files that differ in nothing else. One forward search finds the states, and a backward
 search for each goal computes the cost-to-go. The translator may order variables by the goal, so that goals are
-translated by the meaning of their facts. Of a goal with disjunctions or quantifiers it makes a derived variable, which
-nothing else reads: the states are then enumerated with the derived variables of all goals. For a negation it divides
-variables, so that the files are grounded anew, with a derived predicate as the goal. A task is swept by itself,
+translated by the meaning of their facts. It keeps the derived variables that a goal needs, and makes one of a goal with
+disjunctions or quantifiers: the states are enumerated with the derived variables of all goals. For a negation it
+divides variables, so that the files are grounded anew, with a derived predicate as the goal. A task is swept by itself,
 and its table numbers the states in its own way, if its goal changes more than that, as one that compares a number of
-which only some values are told apart, or if its goal or operators read derived predicates of the domain.
+which only some values are told apart.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
-from ..grounding.task import Effect, Fact, Operator, Task
+from ..grounding.task import Effect, Fact, Operator, Task, Variable
 from ..pddl.compilation import with_derived_goal
 from ..pddl.instances import PDDLError
 from ..pddl.reader import read
@@ -34,8 +35,8 @@ from .table import Table, explored, require_sweepable
 if TYPE_CHECKING:
     from .load import AnyTask
 
-Meaning = tuple[frozenset[str], str]
-"""A fact of a variable, with the meanings of all values of that variable."""
+Meaning = tuple[object, frozenset[object]]
+"""A fact with all values of its variable, and the rules on which it depends."""
 
 Grounding = frozenset[tuple[object, ...]]
 """The variables and operators of a task by their meanings."""
@@ -78,14 +79,10 @@ def sweep_goals(
     threads = threads or processors()
     for task in loaded:
         require_sweepable(task)
-    groundings = [_grounded(task) for task in loaded]
-    alike = _alike(groundings)
-    if len({*groundings} - {None}) > 1 and all(task.instance.problem.is_file() for task in loaded):
-        derived = [
-            task if grounding is None else _with_derived_goal(task, deadline)
-            for task, grounding in zip(loaded, groundings, strict=True)
-        ]
-        if len(groups := _alike([_grounded(task) for task in derived])) < len(alike):
+    alike = _alike(loaded)
+    if len(alike) > 1 and all(task.instance.problem.is_file() for task in loaded):
+        derived = [_with_derived_goal(task, deadline) for task in loaded]
+        if len(groups := _alike(derived)) < len(alike):
             loaded, alike = derived, groups
     tables: dict[int, Table] = {}
     for places in alike:
@@ -101,11 +98,11 @@ def sweep_goals(
     return [tables[place] for place in range(len(loaded))]
 
 
-def _alike(groundings: Sequence[Grounding | None]) -> list[list[int]]:
-    """Return the places of equal groundings; None is equal to no other."""
-    found: dict[object, list[int]] = {}
-    for place, grounding in enumerate(groundings):
-        found.setdefault(place if grounding is None else grounding, []).append(place)
+def _alike(tasks: Sequence[Task]) -> list[list[int]]:
+    """Return the places of tasks with equal groundings."""
+    found: dict[Grounding, list[int]] = {}
+    for place, task in enumerate(tasks):
+        found.setdefault(_grounded(task), []).append(place)
     return list(found.values())
 
 
@@ -164,47 +161,39 @@ def _signature(task: Task) -> tuple[frozenset[str], frozenset[str], frozenset[st
 def _joined(tasks: Sequence[Task]) -> list[Task]:
     """Return tasks of one grounding as tasks with the same variables, operators and axioms, and with their own goals.
 
-    The variables are those of the first task that are not derived, and then the derived ones of all.
+    The variables are those of the first task, and the derived ones of the others that it does not have.
     """
     if len(tasks) == 1:
         return list(tasks)
     head = tasks[0]
-    kept = [number for number, variable in enumerate(head.variables) if variable.axiom_layer < 0]
-    variables, initial = [head.variables[number] for number in kept], [head.initial[number] for number in kept]
-    known = {
-        (frozenset(variable.facts), fact): (number, value)
-        for number, variable in enumerate(variables)
-        for value, fact in enumerate(variable.facts)
-    }
-    goals, axioms, operators = list[tuple[Fact, ...]](), list[Effect](), tuple[Operator, ...]()
+    primary = sorted(range(len(head.variables)), key=lambda number: head.variables[number].axiom_layer >= 0)
+    variables, initial, axioms, known = list[Variable](), list[int](), list[Effect](), dict[Meaning, Fact]()
+    goals, first, layers = list[tuple[Fact, ...]](), dict[Fact, Fact](), 0
     for task in tasks:
-        places: dict[Fact, Fact] = {}
-        for number, (variable, first) in enumerate(zip(task.variables, task.initial, strict=True)):
-            for value, fact in enumerate(variable.facts):
-                derived = len(variables), value
-                places[number, value] = derived if variable.axiom_layer >= 0 else known[frozenset(variable.facts), fact]
-            if variable.axiom_layer >= 0:
-                variables.append(replace(variable, name=f"var{len(variables)}"))
-                initial.append(first)
-
-        def moved(facts: Iterable[Fact], places: Mapping[Fact, Fact] = places) -> tuple[Fact, ...]:
-            return tuple(places[fact] for fact in facts)
-
-        def effect(one: Effect, places: Mapping[Fact, Fact] = places) -> Effect:
-            return Effect(moved(one.conditions, places), *places[one.variable, one.value])
-
-        goals.append(moved(task.goal))
-        axioms += map(effect, task.axioms)
-        operators = operators or tuple(
-            Operator(one.action, moved(one.preconditions), tuple(map(effect, one.effects))) for one in task.operators
+        meanings, added, above = _meanings(task), set[int](), layers
+        for number in primary if task is head else range(len(task.variables)):
+            variable, values = task.variables[number], range(len(task.variables[number].facts))
+            if any(meanings[number, value] not in known for value in values):
+                known.update((meanings[number, value], (len(variables), value)) for value in values)
+                layer = variable.axiom_layer + above if variable.axiom_layer >= 0 else -1
+                variables.append(replace(variable, name=f"var{len(variables)}", axiom_layer=layer))
+                initial.append(task.initial[number])
+                added.add(number)
+                layers = max(layers, layer + 1)
+        places = {fact: known[meaning] for fact, meaning in meanings.items()}
+        first = first or places
+        goals.append(_moved(task.goal, places))
+        axioms += [_moved_effect(axiom, places) for axiom in task.axioms if axiom.variable in added]
+    operators = tuple(
+        Operator(
+            one.action, _moved(one.preconditions, first), tuple(_moved_effect(effect, first) for effect in one.effects)
         )
-    mutexes = tuple(
-        tuple((kept.index(variable), value) for variable, value in group) for group in head.mutexes
-        if all(variable in kept for variable, _ in group)
+        for one in head.operators
     )  # fmt: skip
+    mutexes = tuple(_moved(group, first) for group in head.mutexes)
     whole = replace(
         head, variables=tuple(variables), initial=tuple(initial), operators=operators, axioms=tuple(axioms),
-        mutexes=mutexes, goal=goals[0],
+        mutexes=mutexes,
     )  # fmt: skip
     return [
         replace(whole, goal=goal, instance=task.instance, note=task.note)
@@ -212,27 +201,62 @@ def _joined(tasks: Sequence[Task]) -> list[Task]:
     ]
 
 
-def _grounded(task: Task) -> Grounding | None:
-    """Return the variables and operators of a task by their meanings, whatever their order, without what is derived.
+def _moved(facts: Iterable[Fact], places: Mapping[Fact, Fact]) -> tuple[Fact, ...]:
+    return tuple(places[fact] for fact in facts)
 
-    None if operators read derived variables, or if some are of derived predicates of the domain: each goal would have
-    its own copy of them.
+
+def _moved_effect(effect: Effect, places: Mapping[Fact, Fact]) -> Effect:
+    return Effect(_moved(effect.conditions, places), *places[effect.variable, effect.value])
+
+
+def _meanings(task: Task) -> dict[Fact, Meaning]:
+    """Return the meaning of each fact. Facts of tasks with one grounding that mean the same hold in the same states.
+
+    A derived fact means the rules that it depends on. The predicates that the translator adds, and those of goals, have
+    no names of their own, since they are numbered differently for each goal.
     """
     every = [frozenset(variable.facts) for variable in task.variables]
-    derived = {number for number, variable in enumerate(task.variables) if variable.axiom_layer >= 0}
-    if any(re.match(r"(Negated)?Atom (?!new-axiom@)", fact) for number in derived for fact in every[number]):
-        return None
-    for one in task.operators:
-        read = {variable for variable, _ in one.preconditions}
-        read.update(variable for effect in one.effects for variable, _ in effect.conditions)
-        if read & derived:
-            return None
+    rules: dict[int, list[Effect]] = {number: [] for number, each in enumerate(task.variables) if each.axiom_layer >= 0}
+    for axiom in task.axioms:
+        rules[axiom.variable].append(axiom)
+    unnamed = {number for number in rules if re.search(r"Atom new-axiom@(\d|goal)", "".join(every[number]))}
+
+    def named(fact: Fact) -> object:
+        variable, value = fact
+        if variable in unnamed:
+            return value == task.initial[variable], body(variable)
+        return every[variable], task.variables[variable].facts[value]
+
+    @cache
+    def body(variable: int) -> frozenset[object]:
+        return frozenset(frozenset(map(named, axiom.conditions)) for axiom in rules[variable])
+
+    def below(variable: int) -> frozenset[object]:
+        """Return the rules of all derived predicates on which a variable depends."""
+        found, waiting = set[int](), [variable]
+        while waiting:
+            number = waiting.pop()
+            if number in rules and number not in found:
+                found.add(number)
+                waiting += [fact[0] for axiom in rules[number] for fact in axiom.conditions]
+        return frozenset((named((number, task.initial[number])), body(number)) for number in found - unnamed)
+
+    found = dict[Fact, Meaning]()
+    for number, variable in enumerate(task.variables):
+        own = below(number)
+        found.update(((number, value), (named((number, value)), own)) for value in range(len(variable.facts)))
+    return found
+
+
+def _grounded(task: Task) -> Grounding:
+    """Return the variables and operators of a task by their meanings, whatever their order, and what operators read."""
+    meaning = _meanings(task)
 
     def meanings(facts: Iterable[Fact]) -> frozenset[Meaning]:
-        return frozenset((every[variable], task.variables[variable].facts[value]) for variable, value in facts)
+        return frozenset(map(meaning.__getitem__, facts))
 
     def effect(one: Effect) -> tuple[object, ...]:
-        return meanings(one.conditions), meanings([(one.variable, one.value)])
+        return meanings(one.conditions), meaning[one.variable, one.value]
 
     operators = [
         (
@@ -243,5 +267,5 @@ def _grounded(task: Task) -> Grounding | None:
         )
         for one in task.operators
     ]
-    primary = ((facts,) for number, facts in enumerate(every) if number not in derived)
+    primary = ((frozenset(each.facts),) for each in task.variables if each.axiom_layer < 0)
     return frozenset([(task.unit,), *primary, *operators])

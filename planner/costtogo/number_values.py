@@ -14,8 +14,8 @@ The values are then known to be all, and are compiled as such. Where there are t
 is closed, the task keeps its beyond facts. It is no longer swept, and its states are solved on demand (`astar`). A
 trial is then large enough if a plan from the initial state is optimal within it. If no trial is, the number is refused.
 
-Trials end after numbers of states, operators and facts, never because time is short: a file has the same values
-everywhere. Where time is short, there is an error instead.
+Trials end after numbers of states, operators and rows of relations, never because time is short: a file has the same
+values everywhere. Where time is short, there is an error instead.
 """
 
 from __future__ import annotations
@@ -44,10 +44,8 @@ MOST_SEARCHED = 300_000
 """States that the search for a cheapest plan meets within one trial."""
 MOST_OPERATORS = 15_000
 """No trial is made that is expected to have more operators, since it would take minutes to ground."""
-FACTS = 10
-"""Facts of a compilation, and axioms of its task, that take as long as one operator: relations of several numbers."""
-MOST_FACTS = 40_000
-"""Facts and axioms of a trial after which larger ones are made only if no plan is optimal within this one."""
+MOST_GROUNDED = 100_000
+"""No trial is made with more rows of relations and ways to satisfy conditions; so many are grounded in five seconds."""
 TRIAL_SECONDS = 120.0
 """Longest processor time to ground one trial. To reach it is an error."""
 
@@ -111,8 +109,6 @@ class _Trials:
             else:
                 closed = self._compiler.compilation(replace(trial, known=watched.numbers()))
                 return closed, ground(closed, self._left())
-            if _facts(compilation, task) > MOST_FACTS and (found := self._optimal(open_trials, refusal)) is not None:
-                return found
         found = self._optimal(open_trials, refusal) or self._unknown
         if found is None:
             raise refusal
@@ -145,7 +141,7 @@ class _Trials:
         while True:
             trial = Trial(min(values, self._most_values))
             try:
-                compilation = self._compiler.compilation(trial)
+                compilation = self._compiler.compilation(trial, MOST_GROUNDED)
             except PDDLError:  # too many combinations of values
                 return
             try:
@@ -157,15 +153,10 @@ class _Trials:
                 tried = f"while {values} values were tried of numbers without a proven bound"
                 raise type(error)(f"{error} {tried}") from None
             yield trial, compilation, task, decided
-            size = len(task.operators) + _facts(compilation, task) // FACTS
+            size = len(task.operators)
             if values >= self._most_values or size**2 > MOST_OPERATORS * max(before, size // 2):
                 return  # the size grows by the same factor as before, at least doubling at first
             values, before = 2 * values, size
-
-
-def _facts(compilation: Compilation, task: Task) -> int:
-    """Return how many facts and axioms there are, which the relations of several numbers have."""
-    return len(compilation.reading.problem.facts) + len(task.axioms)
 
 
 def holds_initially(task: Task) -> bool:

@@ -31,6 +31,8 @@ from .value_ranges import Bounds, Proofs
 from .value_scope import Scope
 from .value_sets import GroundChange, Trial, ValueSets, ground_changes, initial_values
 
+MOST_GROUNDED = 10_000_000
+"""Rows of static relations, and ways to satisfy conditions of actions, that the translator grounds in minutes."""
 MOST_ROWS = 10_000
 """Combinations of objects up to which forgotten values are searched for."""
 
@@ -73,11 +75,11 @@ class Compiler:
         self.costed = [each for schema in timed for each in preparation.prepared(schema)]
         self.bounds = self._bounds(most_values)
 
-    def compilation(self, trial: Trial | None = None) -> Compilation:
+    def compilation(self, trial: Trial | None = None, most_grounded: int = MOST_GROUNDED) -> Compilation:
         """Return the compilation.
 
         Where a function has no proven bound, or too many values, this raises an `UnprovenError`, unless there is a
-        `trial`.
+        `trial`. Static relations and ways to satisfy conditions may be `most_grounded` together.
         """
         encoder = self._encoder(self.bounds.sets(trial))
         actions = []
@@ -89,7 +91,7 @@ class Compiler:
                        "of objects in its numbers; expected fewer objects, or fewer in one expression")  # fmt: skip
             if action is not None:
                 actions.append(action)
-        return self._assembled(encoder, actions)
+        return self._assembled(encoder, actions, most_grounded)
 
     def _forgotten(self) -> Iterator[str]:
         """Yield a sentence on each static function that most objects have a value of, but not all that an action takes.
@@ -201,7 +203,7 @@ class Compiler:
     def _signatures(self) -> list[Action | DurativeAction]:
         return [entry for entry in self.reading.domain.entries if not isinstance(entry, Rule)]
 
-    def _assembled(self, encoder: Encoder, actions: list[EncodedAction]) -> Compilation:
+    def _assembled(self, encoder: Encoder, actions: list[EncodedAction], most_grounded: int) -> Compilation:
         """Return the compilation with encoded actions."""
         domain, problem = self.reading.domain, self.reading.problem
         root = _Root(self.reading, encoder.fresh("object-of-file"), encoder.fresh("never"))
@@ -251,6 +253,7 @@ class Compiler:
             predicates[name] = head
             entries.append(Rule(head, root.formula(condition)))
         text = root.formula(wanted)
+        self._check_size(encoder, actions, most_grounded)
         if root.uses_never:
             predicates[root.never] = Symbol(root.never, (), place)
         for each in value_encoder.relation_symbols(encoder, place):
@@ -281,6 +284,18 @@ class Compiler:
             if isinstance(entry, DurativeAction) and "(= ?duration" not in str(entry.duration)
         ]  # fmt: skip
         return [f"the least duration is taken for {', '.join(free)}"] if free else []
+
+    def _check_size(self, encoder: Encoder, actions: list[EncodedAction], most_grounded: int) -> None:
+        """Refuse a compilation that the translator would not ground in some minutes."""
+        of_each = [
+            numeric_encoding.ways(
+                encoder, each.precondition, [one.name for one in each.parameters[len(each.schema.parameters) :]]
+            )
+            for each in actions
+        ]
+        if len(encoder.facts) + sum(of_each) > most_grounded:
+            most = actions[of_each.index(max(of_each))].schema
+            encoder.too_many(most.place, f"action '{most.name}'")
 
     def _check_costs(self, actions: list[EncodedAction], unit: Fraction) -> None:
         for action in actions:

@@ -12,18 +12,23 @@ grounds what is reachable only, and finds that each fluent is one variable:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import prod
 
 from .conditions import (
     COMPLEMENT,
     FALSE,
     TRUE,
     compared_terms,
+    comparisons,
     conjunction,
     conjuncts,
     disjunction,
+    free_variables,
     is_numeric,
+    variables_of,
 )  # fmt: skip
 from .declarations import Typed, refuse
 from .durative import Schema, key
@@ -72,11 +77,14 @@ def encoded(encoder: Encoder, costed: Costed, kinds: Mapping[str, str]) -> Encod
             scope.compare(inner[0])
         elif not is_numeric(condition):
             precondition.append(condition)
-    precondition += [
-        scope.formula(each) for each in top
+    nested = [
+        each for each in top
         if is_numeric(each) and each.head not in COMPLEMENT
         and not (each.head == "failed" and len(scope.failure(each.parts[1])) == 1)
     ]  # fmt: skip
+    for term in _shared(scope, nested):
+        scope.value_of(term)
+    precondition += map(scope.formula, nested)
     columns, costs = _costs(scope, costed)
     for change, new in assigned:
         effects += _replacement(scope, change, new)
@@ -89,6 +97,47 @@ def encoded(encoder: Encoder, costed: Costed, kinds: Mapping[str, str]) -> Encod
         return None
     values = [Typed(name, (encoder.value_type,), schema.place) for name in scope.variables]
     return EncodedAction(schema, (*schema.parameters, *values), whole, tuple(effects), columns, costs)
+
+
+def _shared(scope: Scope, conditions: Iterable[Expression]) -> list[Expression]:
+    """Return the terms that several comparisons within conditions read, where they have a value for all parameters.
+
+    With one variable for all of them, the translator does not combine values that exclude each other.
+    """
+    of_each = [dict.fromkeys(compared_terms(each)) for condition in conditions for each in comparisons(condition)]
+    times = Counter(term for terms in of_each for term in terms)
+    return [
+        term for term, several in times.items()
+        if several > 1 and term.head in scope.encoder.names and free_variables(term).keys() <= scope.kinds.keys()
+        and not scope.lacks_fluents(term)
+    ]  # fmt: skip
+
+
+def ways(encoder: Encoder, condition: Expression, values: Collection[str] = ()) -> int:
+    """Return in about how many ways the translator may satisfy a condition by alternatives and by its `values`.
+
+    It grounds an action for each of them, also where values of one number exclude each other, and for each instance of
+    the other parameters. A relation of two values that are both read is left out of account.
+    """
+    head, parts = condition.head, condition.parts[1:]
+    if head == "or":
+        return sum(ways(encoder, part) for part in parts)
+    if head == "exists":
+        return ways(encoder, parts[1], variables_of(parts[0]))
+    several = 1
+    limits: dict[str, int] = {}
+    functions = {predicate: name for name, predicate in encoder.names.items()}
+    for part in conjuncts(condition):
+        if part.head in functions and part.parts[-1].word in values:
+            numbers = len(encoder.numbers[functions[part.head]]) + (functions[part.head] in encoder.undefined)
+            limits[part.parts[-1].word] = min(numbers, limits.get(part.parts[-1].word, numbers))
+        elif part.head in ("or", "exists"):
+            several *= ways(encoder, part)
+    for part in conjuncts(condition):
+        for place, each in enumerate(part.parts[1:] if part.head in encoder.rows else ()):
+            if each.word in limits:
+                limits[each.word] = min(limits[each.word], len({row[place] for row in encoder.rows[part.head]}))
+    return several * prod(limits.values())
 
 
 def _growth(scope: Scope, change: Change, old: str) -> list[Expression]:

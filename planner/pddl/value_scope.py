@@ -423,7 +423,7 @@ class Scope:
                 if term.head in self.statics.values:
                     if self._is_partial(term):
                         found.append(listed(word("undefined"), term))
-                elif term.head in self.encoder.undefined or self._lacks_fluents(term):
+                elif term.head in self.encoder.undefined or self.lacks_fluents(term):
                     found.append(listed(word("undefined"), term))
             for each in side.walk():
                 if each.head == "/":
@@ -439,7 +439,8 @@ class Scope:
             for row in self.statics.bindings(variables, ())
         )
 
-    def _lacks_fluents(self, term: Expression) -> bool:
+    def lacks_fluents(self, term: Expression) -> bool:
+        """Return whether a term is no fluent for some objects."""
         variables = {name: self.kinds[name] for name in free_variables(term)}
         return any(
             tuple(dict(zip(variables, row, strict=True)).get(each, each) for each in key(term))

@@ -140,10 +140,19 @@ def test_a_requirement_that_is_not_used_is_accepted(unused: str, tmp_path: Path)
     assert read(instance(file)).numeric
 
 
+COUNTERS = """(:functions (n) (m)) (:predicates (done) (open))
+  (:action more :effect (increase (n) 1)) (:action less :effect (decrease (n) 1))
+  (:action longer :effect (increase (m) 1)) (:action shorter :effect (decrease (m) 1))
+  (:action finish :precondition {} :effect (done))"""
+
+
+@pytest.mark.parametrize(("condition", "goal"), [
+    ("(= (n) 2000)", "(and (> (- (n) (m)) 6) (done))"), ("(and (= (n) 2000) (or (open) (> (- (n) (m)) 6)))", "(done)"),
+], ids=["goal", "condition"])  # fmt: skip
 def test_numbers_compared_with_each_other_are_not_tried_in_vain(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    condition: str, goal: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A relation of two numbers grows with the square of their values: facts count as operators do."""
+    """A relation of two numbers grows with the square of their values; it is counted before it is grounded."""
     made = list[int]()
     grounded = number_values.ground
 
@@ -152,18 +161,36 @@ def test_numbers_compared_with_each_other_are_not_tried_in_vain(
         return grounded(compilation, limits)
 
     monkeypatch.setattr(number_values, "ground", ground)
-    counters = """(:functions (n) (m)) (:predicates (done))
-      (:action more :effect (increase (n) 1)) (:action less :effect (decrease (n) 1))
-      (:action longer :effect (increase (m) 1)) (:action shorter :effect (decrease (m) 1))
-      (:action finish :precondition (= (n) 2000) :effect (done))"""
-    apart = "(:init (= (n) 0) (= (m) 0)) (:goal (and (> (- (n) (m)) 6) {}))"
-    with monkeypatch.context() as few:
-        few.setattr(number_values, "MOST_FACTS", 1_000)
-        task = load(written(tmp_path, counters, apart.format("(< (n) 9)")))
-    assert (task.beyond != (), astar(task)[0]) == (True, 7)
-    assert max(made) < 4_000  # as many as the first trial with more than 1,000 has, in which the plan was found
-    made.clear()
-    monkeypatch.setattr(number_values, "MOST_OPERATORS", 150)
+    monkeypatch.setattr(number_values, "MOST_GROUNDED", 1_000)
+    begin = f"(:init (= (n) 0) (= (m) 0)) (:goal {goal})"
     with pytest.raises(PDDLError, match=r"\(n\) grows without a limit \(more\)"):
-        load(written(tmp_path, counters, apart.format("(done)")))
-    assert max(made) < 1_000
+        load(written(tmp_path, COUNTERS.format(condition), begin))
+    assert 300 < max(made) < 1_010
+    near = COUNTERS.format(condition.replace("2000", "1"))
+    assert astar(load(written(tmp_path, near, begin)))[0] == 8  # one of them to 7, of the other one step, and finish
+
+
+def test_alternatives_on_one_number_are_not_combined(tmp_path: Path) -> None:
+    """Each bin is closed, or less full than n: in Fast Downward's translator that is one value of n, not one a bin."""
+    domain = """(:types bin) (:predicates (closed ?b - bin) (done)) (:functions (n))
+      (:action more :effect (increase (n) 1)) (:action close :parameters (?b - bin) :effect (closed ?b))
+      (:action finish :precondition (forall (?b - bin) (or (closed ?b) (> (n) 2))) :effect (done))"""
+    bins = " ".join(f"b{number}" for number in range(7))
+    file = written(tmp_path, domain, f"(:objects {bins} - bin) (:init (= (n) 0)) (:goal (and (done) (< (n) 9)))")
+    task = load(file)
+    assert astar(task)[0] == 4
+    assert len(task.operators) < 2_000
+
+
+@pytest.mark.parametrize("each", ["(> (n ?b) 2)", "(or (closed ?b) (> (n ?b) 2))"])
+def test_conditions_on_many_numbers_are_refused_before_they_are_grounded(each: str, tmp_path: Path) -> None:
+    domain = """(:types bin) (:predicates (closed ?b - bin) (done)) (:functions (n ?b - bin))
+      (:action more :parameters (?b - bin) :precondition (< (n ?b) 40) :effect (increase (n ?b) 1))
+      (:action less :parameters (?b - bin) :precondition (> (n ?b) 0) :effect (decrease (n ?b) 1))
+      (:action close :parameters (?b - bin) :effect (closed ?b))
+      (:action finish :precondition (forall (?b - bin) {}) :effect (done))"""
+    names = [f"b{number}" for number in range(9)]
+    begin = " ".join(f"(= (n {name}) 0)" for name in names)
+    problem = f"(:objects {' '.join(names)} - bin) (:init {begin}) (:goal (done))"
+    with pytest.raises(PDDLError, match="action 'finish' compares or changes numbers in too many combinations"):
+        load(written(tmp_path, domain.format(each), problem))
