@@ -88,11 +88,9 @@ def test_optimal_choices_by_hand(table: Table, node: dict[int, int]) -> None:
     assert not optimal_choices(table, dead, table.choices(dead)).any()
 
 
-def test_plan_lengths_of_several_states_and_of_none(table: Table, node: dict[int, int]) -> None:
+def test_plan_lengths_of_several_states(table: Table, node: dict[int, int]) -> None:
     states = list(node) * 2
     assert table.plan_lengths(states).tolist() == [LENGTHS[node[state]] for state in states]
-    assert table.plan_lengths([]).tolist() == []
-    assert table.lookup([]).tolist() == table.is_goal([]).tolist() == []
 
 
 def test_distances_are_kept_in_the_smallest_type_with_room_for_dead_ends() -> None:

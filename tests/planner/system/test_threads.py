@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -49,20 +49,10 @@ def test_what_fails_is_raised_and_nothing_is_begun_after_it() -> None:
     assert len(done) < 10
 
 
-def never(*_: object) -> int:
-    """Report a started thread that in fact found no memory to begin."""
-    return 0
-
-
-def refuse(*_: object) -> int:
-    raise RuntimeError("can't start new thread")
-
-
-@pytest.mark.parametrize("start", [never, refuse])
-def test_threads_that_do_not_begin_are_not_waited_for(
-    start: Callable[..., int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(processes._thread, "start_new_thread", start)
+@pytest.mark.parametrize("fault", [None, RuntimeError("can't start new thread")])
+def test_threads_that_do_not_begin_are_not_waited_for(fault: Exception | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory may end when a thread is made, or when it has been made and begins."""
+    monkeypatch.setattr(processes._thread, "start_new_thread", Mock(side_effect=fault))
     assert on_threads(str, range(5), 3) == ["0", "1", "2", "3", "4"]
 
 
