@@ -246,22 +246,25 @@ def held(folder: Path) -> Iterator[None]:
             folder.mkdir(parents=True, exist_ok=True)
             number = os.open(folder, os.O_RDONLY)
             opened.callback(os.close, number)
-            until = time.monotonic() + ORPHANED
-            while not _locked(number):
-                if time.monotonic() > until:
-                    raise InputFileError(f"{folder}: another run writes into it; expected another folder")
-                time.sleep(0.1)
+            if not locked(number, ORPHANED):
+                raise InputFileError(f"{folder}: another run writes into it; expected another folder")
         except OSError:
             pass
         yield
 
 
-def _locked(number: int) -> bool:
-    try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+def locked(number: int, seconds: float) -> bool:
+    """Lock an open file or folder for this process alone; return whether no other one held it after so many seconds."""
+    until = time.monotonic() + seconds
+    while True:
+        try:
+            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > until:
+                return False
+            time.sleep(0.02)
+        else:
+            return True
 
 
 Key = TypeVar("Key", bound=Hashable)

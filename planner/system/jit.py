@@ -8,7 +8,6 @@ compiled (`compiling`) need not import the compiler, nor numpy.
 
 from __future__ import annotations
 
-import fcntl
 import functools
 import hashlib
 import linecache
@@ -18,12 +17,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
 from types import FrameType, FunctionType, ModuleType
 from typing import Any
+
+from .files import locked
 
 _listening: list[Callable[[str], None]] = []
 
@@ -271,20 +272,13 @@ def _compile_once(stored: Any) -> None:
 
 def _locked(path: Path) -> Any:
     """Return an open file that no other process has locked; None if there is no such file within the longest wait."""
-    try:
+    with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("w")
-    except OSError:
-        return None
-    end = time.monotonic() + LONGEST_WAIT
-    while time.monotonic() < end:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            time.sleep(0.02)
-        else:
-            return file
-    file.close()
+        with ExitStack() as opened:
+            file = opened.enter_context(path.open("w"))
+            if locked(file.fileno(), LONGEST_WAIT):
+                opened.pop_all()
+                return file
     return None
 
 
