@@ -70,19 +70,12 @@ class Stage(NamedTuple):
 
 
 @contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show how many of `total` items are done, with the time left. Yield a function that adds to the count."""
-    with stages() as show:
-        yield adding(show, what, total)
-
-
-@contextmanager
 def status_line(first: str) -> Iterator[Callable[[str], None]]:
     """Show one line that changes. Yield a function that replaces its text."""
-    with _display() as show:
+    with _Display(0.0) as display:
         begun = time.monotonic()
-        show(Stage(first, 0, None, begun))
-        yield lambda text: show(Stage(text, 0, None, begun))
+        display.show(Stage(first, 0, None, begun))
+        yield lambda text: display.show(Stage(text, 0, None, begun))
 
 
 @contextmanager
@@ -95,14 +88,14 @@ def stages(after: float = 0.0, within: float = math.inf) -> Iterator[Progress]:
     until = time.monotonic() + within
     begun: dict[str, tuple[float, int]] = {}
     latest = ""
-    with _display(after) as show:
+    with _Display(after) as display:
 
         def report(what: str, done: int, total: int | None) -> None:
             nonlocal latest
             if what not in begun or (done == 0 and what != latest):  # first, or started once more
                 begun[what] = time.monotonic(), done
             latest = what
-            show(Stage(what, done, total, *begun[what], until))
+            display.show(Stage(what, done, total, *begun[what], until))
 
         yield report
 
@@ -225,19 +218,11 @@ def _working() -> Iterator[None]:
         _work.remove(token)
 
 
-@contextmanager
-def _display(after: float = 0.0) -> Iterator[Callable[[Stage], None]]:
-    """Yield a function that shows stages, but none within `after` seconds."""
-    display = _Display(after)
-    with _working():
-        try:
-            yield display.show
-        finally:
-            display.close()
-
-
 class _Display:
-    """Shows the latest stage at regular intervals, from a thread: a bar, a line in a notebook, or plain lines."""
+    """Shows the latest stage at regular intervals, from a thread: a bar, a line in a notebook, or plain lines.
+
+    Nothing is shown within `after` seconds, nor after the context.
+    """
 
     def __init__(self, after: float) -> None:
         self._after = after
@@ -252,8 +237,12 @@ class _Display:
             self._thread = threading.Thread(target=self._draw, daemon=True)
             self._thread.start()
 
-    def close(self) -> None:
-        """Show nothing any more."""
+    def __enter__(self) -> _Display:
+        _work.append(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        _work.remove(self)
         self._ended.set()
         if self._thread is not None:
             self._thread.join()

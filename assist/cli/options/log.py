@@ -12,7 +12,7 @@ import planner
 from planner import Instance, LimitError, Limits, find_instances
 from planner.system.errors import InputFileError
 from planner.system.limits import processors
-from planner.system.progress import progress_bar, stages
+from planner.system.progress import adding, stages
 
 from ...declare.declared import Whole, names_of
 from ...declare.options import Value
@@ -269,9 +269,9 @@ def _evaluate(
         return EvaluatedStates.of(costs, numbers, costs.lookup(numbers), wanted, len(walked))
     if np.isnan(costs.known(numbers)).any():
         click.echo(f"evaluating {len(wanted)} states on demand: {costs.reason}", err=True)
-    with progress_bar("evaluating states", len(wanted)) as advance:
+    with stages() as show:
         try:
-            h = costs.lookup(numbers, advance)
+            h = costs.lookup(numbers, adding(show, "evaluating states", len(wanted)))
         except LimitError as error:
             if reading.strict:
                 raise

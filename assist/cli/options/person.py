@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, NamedTuple
 
 from planner import Instance
-from planner.system.progress import progress_bar
+from planner.system.progress import adding, stages
 
 from ...declare.options import Given, setting_options
 from ...person.settings import Setting
@@ -87,7 +87,8 @@ def person_problem(
         states, memory_limit = max(1, states // len(each_of(known))), setting.memory_limit
     drawn = Misconception.drawn(setting.sigma, default_rng(person.seed))
     known_to_robot = drawn if setting.sigma else None
-    with usage_errors(), nullcontext() if whole else progress_bar("collecting states", states) as advance:
+    with usage_errors(), nullcontext() if whole else stages() as show:
+        advance = None if show is None else adding(show, "collecting states", states)
         problem = PersonProblem.of(
             known, setting=chosen, population=setting.population, states=states, misconception=known_to_robot,
             time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance,

@@ -100,11 +100,10 @@ def test_what_was_done_before_says_nothing_about_the_time_that_is_left(monkeypat
 @pytest.mark.parametrize(
     ("display", "told", "line"),
     [
-        (lambda: progress.progress_bar("solving", 3), (2,), r"^solving, \d+ s: 2 of 3, about \d+ s left$"),
         (lambda: progress.stages(), ("people", 1, 12), r"^people, \d+ s: 1 of 12$"),
         (lambda: progress.status_line("reading"), ("searching",), r"^searching, \d+ s$"),
     ],
-    ids=["progress_bar", "stages", "status_line"],
+    ids=["stages", "status_line"],
 )
 def test_a_line_comes_now_and_then(
     display: Callable[[], AbstractContextManager[Callable[..., None]]],
@@ -122,8 +121,8 @@ def test_a_line_comes_now_and_then(
 
 def test_what_takes_no_time_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", heard := Heard("."))
-    with progress.progress_bar("solving", 3) as advance:
-        advance(3)
+    with progress.stages() as show:
+        progress.adding(show, "solving", 3)(3)
     assert heard.getvalue() == ""
 
 
