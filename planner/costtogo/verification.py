@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from ..grounding.fast_downward import FastDownwardError
 from ..grounding.task import steps_along, successors
 from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, LimitError, Limits
+from ..system.processes import on_threads
 from .astar import astar
 from .cost_to_go import CostToGo
 from .table import Table
@@ -61,9 +61,8 @@ def verify(
     MismatchError
         The values of a state differ.
     """
-    space, states = table.space, sample(len(table), table.initial, count, rng)
-    said, compared = known or {}, 0
-    start, over = time.monotonic(), threading.Event()
+    space, said, start, compared = table.space, known or {}, time.monotonic(), 0
+    over, counting = threading.Event(), threading.Lock()
 
     def asked(state: int) -> float | None:
         if state in said:
@@ -81,20 +80,19 @@ def verify(
         except (LimitError, FastDownwardError):
             return None
 
-    with ThreadPoolExecutor(jobs) as pool:
-        # A single job needs no thread: if there is no memory for a new thread, Python would wait for it forever.
-        each = pool.map if jobs > 1 else map
-        try:
-            for state, expected in zip(states, each(asked, states), strict=True):
-                if expected is None:
-                    continue
-                if expected != table[state]:
-                    raise mismatch(table, state, expected)
-                compared += 1
-                if progress is not None:
-                    progress(compared)
-        finally:
-            over.set()
+    def compare(state: int) -> None:
+        nonlocal compared
+        expected = asked(state)
+        if expected is None:
+            return
+        if expected != table[state]:
+            raise mismatch(table, state, expected)
+        with counting:
+            compared += 1
+            if progress is not None:
+                progress(compared)
+
+    on_threads(compare, sample(len(table), table.initial, count, rng), jobs, over)
     return compared
 
 
