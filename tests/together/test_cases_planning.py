@@ -87,17 +87,13 @@ ASSUMED = "the initial state has no (= (total-cost) 0), which is assumed"
         ("(far ?a ?b)", (NO_METRIC, NO_BEGIN), 7, UNIT),
         ("2", (NO_METRIC, NO_BEGIN, ("(:functions (total-cost) (far ?a ?b - bin) - number)", "")), 7, UNIT),
         ("2", (NO_METRIC, ("(increase (total-cost) 2)", "")), 7, None),
-        (
-            "2", (NO_METRIC, ("(increase (total-cost) 2)", ""), ("(:action pick", f"{TIDY} (:action pick")), 6,
-            UNIT.replace("line 7", "line 8"),
-        ),
+        ("2", (NO_METRIC, ("(increase (total-cost) 2)", ""), ("(:action pick", f"{TIDY} (:action pick")), 6,
+         UNIT.replace("line 7", "line 8")),
         ("2", (NO_BEGIN,), 6, ASSUMED),
         ("(far ?a ?b)", (NO_BEGIN,), 9, ASSUMED),
         ("2", (NO_BEGIN, ("(:functions (total-cost) (far", "(:functions (far")), 6, ASSUMED),
-        (
-            "2", (("(increase (total-cost) 2)", ""),), 0,
-            "the problem minimizes (total-cost), but no action increases it, so that each action costs 0",
-        ),
+        ("2", (("(increase (total-cost) 2)", ""),), 0,
+         "the problem minimizes (total-cost), but no action increases it, so that each action costs 0"),
     ],
 )  # fmt: skip
 def test_costs_without_a_metric_or_a_beginning(

@@ -300,12 +300,10 @@ def test_a_state_may_be_written_with_any_form_of_its_numbers(
     ("text", "said"),
     [
         ("(= (litres tank-a) 0.3)", "state:1: (= (litres tank-a) 0.3) is no fact of the task; expected 0, 0.5, 1, 1.5"),
-        (
-            "(= (filled) 1)",
-            "state: too few facts; expected (= (battery) N), where N is less than 0.3, 0.5, 0.8, 1.1, 1.4, 1.7",
-        ),
+        ("(= (filled) 1)",
+         "state: too few facts; expected (= (battery) N), where N is less than 0.3, 0.5, 0.8, 1.1, 1.4, 1.7"),
     ],
-)
+)  # fmt: skip
 def test_a_number_that_no_state_has_is_refused_with_those_that_there_are(
     files: Instance, tmp_path: Path, text: str, said: str
 ) -> None:

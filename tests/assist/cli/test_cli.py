@@ -258,17 +258,14 @@ def test_simulate_prints_a_table_and_draws_a_picture(tmp_path: Path) -> None:
         ((KITTING / "tiny.pddl", "--humans", 2, "--policy", "psychic"), 2, "psychic"),
         ((KITTING / "tiny.pddl", "--humans", 2, "--set", "gamma=1.5"), 2, "gamma: 1.5; expected a number"),
         ((KITTING / "tiny.pddl", "--humans", 2, "--c-move", -1), 2, "--c-move: -1; expected a number from 0"),
-        (
-            (KITTING / "tiny.pddl", "--humans", 2, "--set", "population.theta=[0.5, 1.5]"),
-            2,
-            "theta: [0.5, 1.5]; expected",
-        ),
+        ((KITTING / "tiny.pddl", "--humans", 2, "--set", "population.theta=[0.5, 1.5]"), 2,
+         "theta: [0.5, 1.5]; expected"),
         ((KITTING / "tiny.pddl", "--humans", 2, "--figure", "x.doc"), 2, ".png"),
         ((KITTING, "--humans", 2), 2, "expected one"),
         ((KITTING / "unsolvable.pddl", "--humans", 2), 1, "cannot be reached"),
         ((KITTING / "tiny.pddl", "--humans", 2, "--out", "/dev/null/x"), 1, "/dev/null"),
     ],
-)
+)  # fmt: skip
 def test_simulate_refuses_what_makes_no_sense(arguments: tuple[object, ...], code: int, words: str) -> None:
     result = invoke("simulate", *arguments)
     assert result.exit_code == code
@@ -385,15 +382,12 @@ def test_one_person_has_neither_neighbours_nor_draws_of_a_population(settings: l
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (
-            ["trust.rule=outcome"],
-            "--set trust.rule: trust has no parts; expected --set trust=VALUE, which is",
-        ),
+        (["trust.rule=outcome"], "--set trust.rule: trust has no parts; expected --set trust=VALUE, which is"),
         (["c_suggest=1\ngamma=0.2"], "expected a number from 0 to 1e+15"),
         (["population={beta=[1,2]}", "population.beta=[1,3]"], "--set population.beta: it is set twice"),
         (["population.beta=[1,3]", "population={beta=[1,2]}"], "--set population: it is set twice"),
     ],
-)
+)  # fmt: skip
 def test_a_value_on_the_command_line_is_one_value(words: list[str], message: str, tmp_path: Path) -> None:
     given = [word for one in words for word in ("--set", one)]
     result = invoke("export", KITTING / "tiny.pddl", "--out", tmp_path / "a.pomdpx", *given)

@@ -231,12 +231,10 @@ def test_a_file_for_config_is_told_from_one_for_setting(content: str, tmp_path: 
         (("--set", "seed=1"), "--set seed has no effect without --simulate"),
         (("--set", "keep_people=30"), "--set keep_people has no effect without people_store"),
         (("--set", "eta=0.3"), "--set eta has no effect without trust"),
-        (
-            ("--set", "utility_scale=2", "--set", "trust=outcome"),
-            "--set utility_scale has no effect with trust 'outcome'",
-        ),
+        (("--set", "utility_scale=2", "--set", "trust=outcome"),
+         "--set utility_scale has no effect with trust 'outcome'"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_is_said_in_one_line_before_anything_is_served(
     begun: Begun, options: tuple[Any, ...], says: str
 ) -> None:

@@ -126,11 +126,8 @@ distances = "far.json"
     [
         ("humans = 'three'", {}, 'line.toml:2: humans: "three"; expected a whole number from 1 to 10000'),
         ("setting = {c_sugest = 1}", {}, "line.toml:2: setting.c_sugest: unknown; did you mean 'c_suggest'?"),
-        (
-            "setting = {population = {noise = 'action'}}",
-            {},
-            "line.toml:2: setting.population: noise without theta; expected theta as well",
-        ),
+        ("setting = {population = {noise = 'action'}}", {},
+         "line.toml:2: setting.population: noise without theta; expected theta as well"),
         ("setting = {population = {beta = [2, 1]}}", {}, "line.toml:2: setting.population.beta: [2, 1]; expected two"),
         ("c_suggest = 1", {}, "line.toml:2: c_suggest: unknown; expected it in the table `setting`"),
         ("gamma = 0.9", {}, "line.toml:2: gamma: unknown; expected it in the table `setting`, or a file for --setting"),
@@ -145,7 +142,7 @@ distances = "far.json"
         ("humans = 2", {"KITASSIST_PACE": "slow"}, 'KITASSIST_PACE: "slow"; expected a number above 0'),
         ("humans = 2\nstudy = 'missing.toml'", {}, "missing.toml"),
     ],
-)
+)  # fmt: skip
 def test_a_faulty_configuration_is_refused_with_its_place(
     tmp_path: Path, line: str, environment: dict[str, str], said: str
 ) -> None:

@@ -209,13 +209,10 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
         ("policy", ("--set", "c_execute=0.5"), "--set c_execute has no effect without execute"),
         ("bound", ("--trust", "constant", "--set", "eta=0.5"), "--set eta has no effect with trust 'constant'"),
         ("policy", ("--trust", "constant", "--set", "eta=0.5"), "--set eta has no effect with trust 'constant'"),
-        (
-            "simulate",
-            ("--trust", "outcome", "--set", "utility_scale=2"),
-            "--set utility_scale has no effect with trust 'outcome'",
-        ),
+        ("simulate", ("--trust", "outcome", "--set", "utility_scale=2"),
+         "--set utility_scale has no effect with trust 'outcome'"),
     ],
-)
+)  # fmt: skip
 def test_options_without_an_effect_are_refused(command: str, options: tuple[object, ...], words: str) -> None:
     team = () if command == "policy" else ("--humans", 2)
     result = invoke(command, TINY, *team, *options)
@@ -259,17 +256,14 @@ def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_pat
     ("options", "code", "words"),
     [
         (("simulate", "--episodes", 99_999_999_999), 1, "99,999,999,999 episodes of 2 people take about 15,400,000 MB"),
-        (
-            ("simulate", "--set", "memory_limit=0.5"),
-            1,
-            "tiny.pddl: policies for 12 people, on as few as 20 states, take about",
-        ),
+        (("simulate", "--set", "memory_limit=0.5"), 1,
+         "tiny.pddl: policies for 12 people, on as few as 20 states, take about"),
         (("bound", "--set", "memory_limit=1"), 1, "2 problems of people, each of up to"),
         (("simulate", "--policy", "Attention"), 2, "'Attention'; did you mean 'attention'"),
         (("simulate", "--policy", "nowhere.py:f"), 2, "nowhere.py: no such file"),
         (("simulate", "--out", "same.jsonl", "--trace", "same.jsonl"), 2, "the same file as --out"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_is_said_before_the_work_begins(
     options: tuple[object, ...], code: int, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -289,10 +283,8 @@ def test_what_cannot_be_is_said_before_the_work_begins(
         (("policy", TINY, "--gap", "5%"), "5%; expected a fraction from 0 to 1, such as 0.05 for 5 %"),
         (("solve", TINY, "--time-limit", "5min"), "5min; expected a number of seconds above 0"),
         (("solve", TINY, "--time-limit", ".5s"), ".5s; expected a number of seconds above 0"),
-        (
-            ("fit", TINY, "own.toml", "--set", "time_limit=5min"),
-            'time_limit: "5min"; expected a number of seconds above',
-        ),
+        (("fit", TINY, "own.toml", "--set", "time_limit=5min"),
+         'time_limit: "5min"; expected a number of seconds above'),
         (("study-report", "min"), "min: no such file or folder; did you mean 'mine.py'?"),
         (("simulate", TINY, "--humans", 2, "--set", "gama=1"), "Error: --set gama: unknown; did you mean 'gamma'?"),
         (("simulate", TINY, "--humans", 2, "--population", "empty.json"), "empty.json: the file is empty; expected"),
@@ -303,13 +295,11 @@ def test_what_cannot_be_is_said_before_the_work_begins(
         (("simulate", TINY, "--humans", 2, "--set", "distances=cut.json"), "distances: cut.json:2: not JSON"),
         (("fit", TINY, "epty.json"), "epty.json: no such file; did you mean 'empty.json'?"),
         (("solve", "./mine.pdl"), "mine.pdl: no such file or folder; did you mean 'mine.pddl'?"),
-        (
-            ("simulate", TINY, "--humans", 2, "--set", "neighbours.rule=outcome", "--set", "neighbours.pairs=[[1, 9]]"),
-            "Error: neighbours.pairs: station 9 in a team of 2; expected stations up to 2",
-        ),
+        (("simulate", TINY, "--humans", 2, "--set", "neighbours.rule=outcome", "--set", "neighbours.pairs=[[1, 9]]"),
+         "Error: neighbours.pairs: station 9 in a team of 2; expected stations up to 2"),
         (("compare", TINY, "empty.json"), "expected models or rules first, such as kitassist compare models"),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_number_or_name_is_told_with_the_right_form(
     options: tuple[object, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -117,33 +117,18 @@ def test_a_reference_has_the_savings_of_a_headline(tmp_path: Path) -> None:
         ('name = "dear"', 'name = "first"', "there are two conditions 'first'"),
         ('name = "dear"', "", "conditions[2].name: is missing; expected a text"),
         ("pool = 4", "pool = 4\nconditions = []", "conditions: []; expected one table or more"),
-        (
-            "beta = [0.1, 0.5]",
-            'beta = [0.1, 0.5]\nfile = "people.json"',
-            "populations.novices: file also sets beta; expected one of them",
-        ),
-        (
-            "beta = [0.1, 0.5]",
-            "advice_takers = true\ntheta = [0.1, 0.5]",
-            "populations.novices: advice_takers also sets theta; expected one of them",
-        ),
-        (
-            'policies = ["attention"]',
-            'policies = ["own.py:none"]',
-            "'none' is a policy of the package; expected another",
-        ),
-        (
-            'policies = ["attention"]',
-            'policies = ["own.py:attention_never"]',
-            "'attention-never' is a policy of the package; expected another",
-        ),
-        (
-            'policies = ["attention"]',
-            'policies = ["own.py:mine", "./other/../own.py:mine"]',
-            "two policies are called 'mine'; expected different names",
-        ),
+        ("beta = [0.1, 0.5]", 'beta = [0.1, 0.5]\nfile = "people.json"',
+         "populations.novices: file also sets beta; expected one of them"),
+        ("beta = [0.1, 0.5]", "advice_takers = true\ntheta = [0.1, 0.5]",
+         "populations.novices: advice_takers also sets theta; expected one of them"),
+        ('policies = ["attention"]', 'policies = ["own.py:none"]',
+         "'none' is a policy of the package; expected another"),
+        ('policies = ["attention"]', 'policies = ["own.py:attention_never"]',
+         "'attention-never' is a policy of the package; expected another"),
+        ('policies = ["attention"]', 'policies = ["own.py:mine", "./other/../own.py:mine"]',
+         "two policies are called 'mine'; expected different names"),
     ],
-)
+)  # fmt: skip
 def test_a_malformed_study_is_refused_with_the_place(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert old in TINY
     (tmp_path / "own.py").touch()

@@ -9,11 +9,12 @@ import math
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import combinations, permutations
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from assist.studies.repeated_measures import means_within, mixed_model, within_p
 from assist.studies.reports import userstudy_comparisons
 from assist.studies.reports.preregistration import REGISTERED, changed
 from assist.studies.reports.userstudy_data import Measure, StudyData
-from assist.studies.reports.userstudy_report import of_folder, write_report
+from assist.studies.reports.userstudy_report import of_folder, report_text, write_report
 from assist.studies.reports.userstudy_summary import summarise
 from assist.studies.statistics import (
     EXACT,
@@ -86,6 +87,18 @@ def rows_of(outcomes: list[tuple[str, str, int, float | None, int]], **more: Any
     return found
 
 
+def crossed(people: int, value: Callable[[int, str, int], tuple[float | None, int]]) -> Tables:
+    """Return tables of people who have both conditions, every other one `none` first; actions and trust are given."""
+    rows, names = [], []
+    for number in range(people):
+        order = ("none", "attention") if number % 2 else ("attention", "none")
+        for period, name in enumerate(order, start=1):
+            actions, trust = value(number, name, period)
+            rows.append((" > ".join(order), name, period, actions, trust))
+            names.append(f"P{number}")
+    return rows_of(rows, who=names.__getitem__)
+
+
 def study_with(folder: Path, text: str = CONFIRMED) -> Any:
     return read(written(folder / "study.toml", text))
 
@@ -119,15 +132,6 @@ def test_estimates_intervals_and_p_values_are_those_of_other_implementations(see
     assert ranked.p == pytest.approx(special.erfc(z / math.sqrt(2)), **near)
     assert ranked.effect == pytest.approx(2 * u / (n * m) - 1, **near)
 
-    # The signed-rank test by all 2^10 signs; no two differences have the same size.
-    differences = pairs[:10]
-    ranks = np.argsort(np.argsort(np.abs(differences))) + 1
-    seen = abs((ranks * np.sign(differences)).sum())
-    signs = np.array(np.meshgrid(*[[-1, 1]] * 10)).reshape(10, -1)
-    signed = signed_rank(differences)
-    assert signed.p == pytest.approx(float((np.abs(ranks @ signs) >= seen).mean()), **near)
-    assert signed.effect == pytest.approx((ranks * np.sign(differences)).sum() / ranks.sum(), **near)
-
     # Exact tests of completion, by all tables with these margins.
     k, other = int(rng.integers(0, 13)), int(rng.integers(0, 10))
     weights = {i: math.comb(12, i) * math.comb(9, k + other - i) for i in range(13) if 0 <= k + other - i <= 9}
@@ -149,6 +153,7 @@ def test_the_signed_rank_test_is_exact_with_ties(differences: list[float]) -> No
     seen = abs(ranks @ np.sign(x))
     found = signed_rank(differences)
     assert found.p == pytest.approx(float((np.abs(signs @ ranks) >= seen - 1e-9).mean()), rel=1e-9)
+    assert found.effect == pytest.approx((ranks * np.sign(x)).sum() / ranks.sum(), rel=1e-9)
     rounded = [value / 3 + 7 / 3 - 7 / 3 for value in differences]  # as differences of means over three tasks are
     assert signed_rank(rounded) == found
 
@@ -207,13 +212,13 @@ def test_least_squares_removes_what_people_learn_from_one_condition_to_the_next(
             [values[who, name][0] - values[who, "none"][0] for who in both],
             [(values[who, name][1], values[who, "none"][1]) for who in both],
         )
-        # The same by partialling out: residuals of both values after participants and periods (Frisch, Waugh, Lovell).
+        # The same by a regression with a column for each participant and each later period.
         own = [row for row in rows if row[0] in both and row[1] in (name, "none")]
-        nuisance = np.array([[who == one for one in both] + [period == t for t in (2, 3)] for who, _, period, _ in own])
-        left = np.eye(len(own)) - nuisance @ np.linalg.pinv(nuisance.astype(float))
-        x, y = left @ np.array([row[1] == name for row in own], dtype=float), left @ np.array([row[3] for row in own])
-        slope, freedom = float(x @ y / (x @ x)), len(own) - len(both) - 3
-        half = stats.t.ppf(0.975, freedom) * math.sqrt(((y - slope * x) ** 2).sum() / freedom / (x @ x))
+        columns = [[one == name, *(who == each for each in both), t == 2, t == 3] for who, one, t, _ in own]
+        x, y = np.array(columns, dtype=float), np.array([row[3] for row in own])
+        (slope, *_), (rest,), *_ = np.linalg.lstsq(x, y)
+        freedom = len(own) - len(both) - 3
+        half = stats.t.ppf(0.975, freedom) * math.sqrt(rest / freedom * np.linalg.inv(x.T @ x)[0, 0])
         given = found.difference
         assert (given.value, given.low, given.high) == pytest.approx((slope, slope - half, slope + half), rel=1e-6)
         assert given.value == pytest.approx(truth, abs=1.5)
@@ -242,10 +247,8 @@ def test_intervals_of_conditions_leave_out_what_participants_differ_in() -> None
 
 def test_within_participants_the_report_has_those_intervals(tmp_path: Path) -> None:
     """People differ by far more than conditions do."""
-    rows = [(f"{one} > {other}", name, period, 20.0 + 30 * number + 2 * (name == "none") + number % 3 * period, 4)
-            for number in range(8) for one, other in [("none", "attention") if number % 2 else ("attention", "none")]
-            for period, name in enumerate((one, other), start=1)]  # fmt: skip
-    summary = summarise(study_with(tmp_path, WITHIN), rows_of(rows, who=lambda n: f"P{n // 2}"))
+    tables = crossed(8, lambda n, name, period: (20.0 + 30 * n + 2 * (name == "none") + n % 3 * period, 4))
+    summary = summarise(study_with(tmp_path, WITHIN), tables)
     (actions,) = (one for one in summary["measures"] if one["measure"] == "actions")
     (difference,) = actions["differences"]
     for one in (*actions["cells"], difference):
@@ -348,13 +351,10 @@ def test_who_does_not_finish_counts_in_completion_and_has_the_worst_rank(tmp_pat
 
 def test_tests_within_participants_say_how_many_pairs_they_compare(tmp_path: Path) -> None:
     """Six people have both conditions, and two left after the first one."""
-    rows, people = [], []
-    for number in range(8):
-        first, second = ("none", "attention") if number % 2 else ("attention", "none")
-        for period, name in enumerate((first, second)[: 2 if number < 6 else 1], start=1):
-            rows.append((f"{first} > {second}", name, period, 9.0 + number * period, 2 + number % 3 + period))
-            people.append(f"P{number}")
-    summary = summarise(study_with(tmp_path, WITHIN), rows_of(rows, who=people.__getitem__))
+    tables = crossed(8, lambda number, _, period: (9.0 + number * period, 2 + number % 3 + period))
+    for table in (tables.tasks, tables.answers):
+        table[:] = [row for row in table if row["period"] == 1 or row["participant"] < "P6"]
+    summary = summarise(study_with(tmp_path, WITHIN), tables)
     cells = {cell["condition"]: cell["n"] for cell in summary["measures"][0]["cells"]}
     assert cells == {"none": 7, "attention": 7}
     assert {one["n"] for one in [*summary["worst_rank"], *summary["likert"]]} == {6}
@@ -363,10 +363,7 @@ def test_tests_within_participants_say_how_many_pairs_they_compare(tmp_path: Pat
 def test_alpha_is_that_of_each_condition_where_participants_answer_in_several(tmp_path: Path) -> None:
     """Answers of one participant are not independent."""
     rng = np.random.default_rng(6)
-    rows = [(f"{one} > {other}", name, period, 9.0, 4) for number in range(6)
-            for one, other in [("none", "attention") if number % 2 else ("attention", "none")]
-            for period, name in enumerate((one, other), start=1)]  # fmt: skip
-    tables = rows_of(rows, who=lambda n: f"P{n // 2}")
+    tables = crossed(6, lambda *_: (9.0, 4))
     for row in tables.answers:
         row["score"] = int(rng.integers(1, 8))
     found = {one["questionnaire"]: one for one in summarise(study_with(tmp_path, WITHIN), tables)["questionnaires"]}
@@ -375,6 +372,37 @@ def test_alpha_is_that_of_each_condition_where_participants_answer_in_several(tm
         scores[first["condition"]].append([first["score"], second["score"]])
     assert found["trust"]["alpha"] is None
     assert found["trust"]["alphas"] == {name: pytest.approx(cronbach_alpha(own)) for name, own in scores.items()}
+
+
+@pytest.mark.parametrize("text", [CONFIRMED, WITHIN], ids=["between", "within"])
+def test_the_unit_of_analysis_is_the_group(tmp_path: Path, text: str) -> None:
+    """The means of the two members of each of eight groups are compared."""
+    study = study_with(tmp_path, text.replace("simulated = 2", "simulated = 0") + "[group]\nsize = 2\n")
+    rng = np.random.default_rng(3)
+    tables = crossed(16, lambda *_: (int(rng.integers(6, 20)), 4))
+    if not study.is_within:
+        tables = rows_of([(row["condition"], row["condition"], 1, row["actions"], 4) for row in tables.tasks[::2]])
+    for number, row in enumerate(tables.participants):
+        group = f"G{number % 8}"  # whose members have the same order, or condition
+        row |= {"group": group}
+    groups = {row["participant"]: row["group"] for row in tables.participants}
+    own: dict[str, dict[str, list[float]]] = {"none": {}, "attention": {}}
+    for row in tables.tasks:
+        own[row["condition"]].setdefault(groups[row["participant"]], []).append(row["actions"])
+    means = {name: {group: fmean(both) for group, both in each.items()} for name, each in own.items()}
+    (measure,) = (one for one in StudyData(study, tables).measures if one.name == "actions")
+    assert measure.values == means
+    summary = summarise(study, tables) | {"preregistration": None}
+    (difference,) = summary["measures"][0]["differences"]
+    none, attention = means["none"], means["attention"]
+    assert difference["mean"] == pytest.approx(fmean(attention.values()) - fmean(none.values()))
+    samples = [[*attention.values()], [*none.values()]]
+    if study.is_within:  # differences, second minus first, of the two orders
+        samples = [[sign * (attention[f"G{n}"] - none[f"G{n}"]) for n in range(first, 8, 2)]
+                   for first, sign in ((0, -1), (1, 1))]  # fmt: skip
+    assert difference["p"] == pytest.approx(stats.ttest_ind(*samples, equal_var=study.is_within).pvalue)
+    assert "**The unit of analysis is the group**" in report_text(study, summary, {})
+    assert study.is_within or "Groups: none 4, attention 4." in report_text(study, summary, {})
 
 
 def test_only_the_named_outcomes_are_confirmatory_and_their_family_is_adjusted(tmp_path: Path) -> None:
@@ -393,24 +421,22 @@ def test_only_the_named_outcomes_are_confirmatory_and_their_family_is_adjusted(t
 
 
 def test_what_cannot_be_confirmatory_is_refused(tmp_path: Path) -> None:
-    for wrong, said in (
-        ('["action"]', r"confirmatory\[1\]: 'action'; did you mean 'actions'"),
-        ('["actions", "actions"]', r"confirmatory\[2\]: 'actions'; expected different names"),
-        ('["remarks"]', r"confirmatory\[1\]: 'remarks'; expected one of completion, actions"),
+    only = CONFIRMED.replace('name = "trust"', 'name = "trust"\nconditions = ["attention"]')
+    for text, wrong, said in (
+        (CONFIRMED, '["action"]', r"confirmatory\[1\]: 'action'; did you mean 'actions'"),
+        (CONFIRMED, '["actions", "actions"]', r"confirmatory\[2\]: 'actions'; expected different names"),
+        (CONFIRMED, '["remarks"]', r"confirmatory\[1\]: 'remarks'; expected one of completion, actions"),
+        (only, '["actions", "trust"]', r"\[2\]: 'trust' is asked in condition attention only, so it"),
+        (
+            CONFIRMED,
+            '["actions", "followed"]',
+            r"\[2\]: 'followed' has values in condition attention only, so it cannot",
+        ),
     ):
         with pytest.raises(InputFileError, match=said):
-            study_with(tmp_path, CONFIRMED.replace('["actions", "trust"]', wrong))
+            study_with(tmp_path, text.replace('["actions", "trust"]', wrong))
     for name in {*OUTCOMES} - {"followed"}:
-        assert study_with(tmp_path, CONFIRMED.replace('"trust"', f'"{name}"').replace('["actions", "actions"]',
-                          '["actions"]')).confirmatory  # fmt: skip
-
-
-def test_a_confirmatory_outcome_can_be_compared_with_the_reference(tmp_path: Path) -> None:
-    only = CONFIRMED.replace('name = "trust"', 'name = "trust"\nconditions = ["attention"]')
-    with pytest.raises(InputFileError, match=r"confirmatory\[2\]: 'trust' is asked in condition attention only, so it"):
-        study_with(tmp_path, only)
-    with pytest.raises(InputFileError, match=r"\[2\]: 'followed' has values in condition attention only, so it cannot"):
-        study_with(tmp_path, CONFIRMED.replace('"trust"]', '"followed"]'))
+        assert study_with(tmp_path, CONFIRMED.replace('["actions", "trust"]', f'["{name}"]')).confirmatory == (name,)
     # The family has the comparisons that are possible, here two of `actions` and one of `trust`.
     third = '\n[[conditions]]\nname = "third"\npolicy = "reactive"\n'
     study = study_with(tmp_path, only.replace('["attention"]', '["none", "attention"]') + third)
@@ -566,14 +592,13 @@ def test_an_interim_report_and_a_scale_of_one_item_say_what_they_are(tmp_path: P
 @pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("text", [CONFIRMED, WITHIN], ids=["between", "within"])
 def test_the_report_separates_confirmatory_from_exploratory(tmp_path: Path, text: str) -> None:
-    rng, rows = np.random.default_rng(2), list[Any]()
-    orders = ["none > attention", "attention > none"]
-    for number in range(12):
-        for period, name in enumerate(orders[number % 2].split(" > "), start=1):
-            one = (name, 1) if text == CONFIRMED else (orders[number % 2], period)
-            rows.append((one[0], name, one[1], None if number == 3 else int(rng.integers(6, 12)), 5))
-    within = {"who": lambda n: f"P{n // 2}"} if text == WITHIN else {}
-    folder = exported(tmp_path / "data", text, vars(rows_of(rows, **within)))
+    rng = np.random.default_rng(2)
+
+    def value(number: int, *_: object) -> tuple[int | None, int]:
+        return None if number == 3 else int(rng.integers(6, 12)), 5
+
+    once = [(name, name, 1, *value(number)) for number in range(12) for name in ("none", "attention")]
+    folder = exported(tmp_path / "data", text, vars(crossed(12, value) if text == WITHIN else rows_of(once)))
     summary = write_report(folder, tmp_path / "report")
     report = (tmp_path / "report" / "report.md").read_text()
     page = (tmp_path / "report" / "report.html").read_text()
@@ -591,7 +616,6 @@ def test_the_report_separates_confirmatory_from_exploratory(tmp_path: Path, text
     assert json.loads((tmp_path / "report" / "summary.json").read_text()) == summary
 
 
-@pytest.mark.usefixtures("no_figures")
 @pytest.mark.usefixtures("no_figures")
 def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -71,12 +71,6 @@ def cut(file: Path) -> None:
     file.write_bytes(file.read_bytes()[:5000])
 
 
-def record(file: Path, text: str) -> None:
-    with sqlite3.connect(file) as db:
-        db.execute("UPDATE events SET record = ? WHERE n = 2", (text,))
-    db.close()
-
-
 def no_folder(folder: Path) -> None:
     shutil.rmtree(folder)
     folder.write_text("a file")
@@ -95,14 +89,6 @@ def half_a_secret(folder: Path, table: Table) -> StudyService:
 FAULTS: dict[str, tuple[Callable[[Path, Table], Any], type[Exception], str]] = {
     "a journal that is a text": (damaged(lambda d: as_text(d / JOURNAL)), InputFileError, "is damaged"),
     "half a journal": (damaged(lambda d: cut(d / JOURNAL)), InputFileError, "is damaged"),
-    "an event of another kind": (
-        damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":0,"event":{"kind":"flew","person":"eve"}}')),
-        InputFileError, "event 2 cannot have happened: event: 'flew' is no kind of event; expected one of acted,",
-    ),
-    "an event of nobody": (
-        damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":0,"event":{"kind":"left","person":"nobody"}}')),
-        InputFileError, "event 2 cannot have happened: 'nobody' is not in the study",
-    ),
     "a folder that is a file": (damaged(no_folder), OSError, "File exists"),
     "a team's session on a study's folder": (
         lambda folder, table: Session(table, folder / "data" / JOURNAL), InputFileError, "the session there has",

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import random
-import shutil
-import time
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import pytest
 from conftest import thinned
 from store_faults import Failing
-from test_event_store import content, forked
-from userstudies import ALONE, PLAN, SCORES, Open, Part, opened, written
+from test_event_store import content
+from userstudies import ALONE, PLAN, SCORES, Open, Part, opened
 
 from assist.cli.user_study import _report
 from assist.declare import AbsentError, InapplicableError, Refusal
@@ -21,11 +17,9 @@ from assist.live.store import JournalError, stored
 from assist.studies.reports.report_files import html_page
 from assist.studies.reports.userstudy_report import write_report
 from assist.studies.reports.userstudy_summary import summarise
-from assist.studies.userstudy import Cohort, read
 from assist.studies.userstudy.events import Withdrew
 from assist.studies.userstudy.session import JOURNAL, REPORT, StudySession
 from assist.studies.userstudy.tables import tables
-from planner import Table
 
 GROUPED = PLAN.replace("simulated = 2", "simulated = 0") + '[group]\nsize = 3\nthen = "start"\n'
 __all__ = ["opened"]
@@ -126,37 +120,6 @@ def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool
     assert [stone.label for stone in session.tombstones()] == ["(erased 1)", "(erased 2)"]
 
 
-def test_what_a_member_of_a_group_withdraws_is_gone_and_the_others_go_on(opened: Open) -> None:
-    session = opened(GROUPED)
-    parts = [Part(session, name) for name in ("ann", "P-EVE234", "cid")]
-    for part in parts:
-        part.come()
-        while part.stage != "waiting" and part.kind != "task":
-            if part.kind == "practice":
-                part.finish()
-            part.onward()
-    for part in parts:
-        part.errs()
-    eve, others = parts[1], (parts[0], parts[2])
-    views = {part.name: session.person(part.name) for part in others}
-    eve.report("withdrew")
-    after = {part.name: session.person(part.name) for part in others}
-    for name, view in after.items():
-        assert {**view, "seq": 0, "suggestion": None} == {**views[name], "seq": 0, "suggestion": None}
-    assert eve.kind == "withdrew"
-    records = [record for _, record in stored(session.folder / JOURNAL)[1]]
-    every = [sub["event"] for record in records for sub in record.get("team", ())]
-    assert {event["kind"] for event in every if event.get("person") == eve.name} <= {"vacant"}
-    session.close()
-    session = opened(GROUPED)
-    assert {part.name: session.person(part.name) for part in others} == after
-    assert session.person(eve.name)["study"]["stage"] == "task tiny"
-    for part in others:
-        Part(session, part.name).to("thanks")
-    (row,) = [row for row in tables(session.study, session.folder / JOURNAL).participants if row["status"] != "done"]
-    assert (row["participant"], row["status"], row["group"], row["stage"]) == (eve.name, "withdrew", "G1", "task tiny")
-
-
 @pytest.mark.parametrize("design", ["between", "within"])
 def test_who_came_last_to_a_group_and_withdraws_changes_nothing_of_the_others(opened: Open, design: str) -> None:
     """Her coming began the others' task; within participants, they may be at a later condition by then."""
@@ -210,21 +173,6 @@ def test_the_tables_of_a_group_whose_policy_failed_are_there_after_a_member_with
     assert (row["participant"], "it failed" in row["fault"]) == ("ann", True)
 
 
-def test_what_was_withdrawn_before_is_removed_when_the_study_goes_on(
-    opened: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Studies of earlier versions kept what was withdrawn; so does one whose process ends before the removal."""
-    with monkeypatch.context() as patch:
-        patch.setattr(Cohort, "withdrawn", lambda _: [])
-        session = opened(ALONE)
-        answered(session, "eve", "ann")[0].report("withdrew")
-        assert b"words of eve" in content(session.folder)
-        session.close()
-    session = opened(ALONE)
-    assert b"words of eve" not in content(session.folder)
-    assert b"words of ann" in content(session.folder)
-
-
 @pytest.mark.parametrize("fails", thinned(["UPDATE events", "COMMIT", "VACUUM", "PRAGMA wal_checkpoint"]))
 def test_a_withdrawal_whose_data_cannot_be_removed_says_so_and_is_completed(
     opened: Open, monkeypatch: pytest.MonkeyPatch, fails: str
@@ -267,43 +215,6 @@ def test_what_could_not_be_removed_is_tried_again_with_later_events(
     ann.onward()
     assert session.fault() is None
     assert b"words of eve" not in content(session.folder)
-
-
-def withdraws(task: Table, folder: Path, says: Connection) -> None:
-    session = StudySession(read(folder / "study.toml"), {"tiny": task, "practice": task}, folder / "data")
-    says.send("ready")
-    Part(session, "eve").report("withdrew", id="asked")
-    says.send("withdrawn")
-
-
-@pytest.mark.parametrize("kills", [1, pytest.param(10, marks=pytest.mark.slow)])
-def test_who_kills_the_process_while_it_withdraws_loses_nothing_and_keeps_nothing(
-    opened: Open, tiny: Table, tmp_path: Path, kills: int
-) -> None:
-    """An acknowledged withdrawal is complete. Any other is complete when the study goes on, or has not happened."""
-    session, rng = opened(), random.Random(kills)
-    answered(session, "eve", "ann")
-    before = of_others(session, "eve")
-    session.close()
-    for attempt in range(kills):
-        folder = tmp_path / str(attempt)
-        folder.mkdir()
-        shutil.copytree(tmp_path / "data", folder / "data")
-        written(folder / "study.toml", PLAN)
-        with forked(withdraws, tiny, folder) as hears:
-            assert hears.recv() == "ready"
-            time.sleep(0.3 * rng.random() ** 2)
-        try:
-            acknowledged = hears.recv() == "withdrawn"
-        except EOFError:
-            acknowledged = False
-        assert not acknowledged or b"words of eve" not in content(folder / "data")
-        again = StudySession(read(folder / "study.toml"), {"tiny": tiny, "practice": tiny}, folder / "data")
-        withdrew = again.person("eve")["study"]["kind"] == "withdrew"
-        assert withdrew or not acknowledged
-        assert (b"words of eve" in content(folder / "data")) != withdrew
-        assert of_others(again, "eve")[1:] == before[1:]
-        again.close()
 
 
 @pytest.mark.usefixtures("no_figures")
