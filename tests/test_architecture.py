@@ -72,7 +72,7 @@ ROOMS = {
         uncertain_actions beliefs seen_suggestions live_questions decision_point robot_places decisions
         knowledge desk lines views event_base events reports record assistant store people_store header history team
         session simulated_person trace_reasons""",
-    "assist.studies": """statistics repeated_measures study plan_tables protocol tasks own_code_trials cells runner
+    "assist.studies": """statistics repeated_measures study plan_tables protocol own_code_trials cells runner
         own_code""",
     "assist.studies.userstudy": """forms questionnaires questionnaire_file assignment outcomes plan plan_file codes
         views participant_team roll teams events record cohort session csv_tables tables export
@@ -89,8 +89,8 @@ ROOMS = {
     "assist.cli.terminal": "interrupts console",
     "assist.cli.options": """common settings config task policies population person travel goals team help bridges
         listening live log trust""",
-    "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries
-        people_estimates trust_estimates comparisons goal_posteriors""",
+    "assist.cli.output": """solve_records solve_progress person_bounds
+        people_estimates trust_estimates comparisons""",
     "assist.cli": """domains check solve simulate policy bound export draw fit compare infer study user_study
         serve settings study_prepare study_report command_group""",
 }
@@ -100,7 +100,7 @@ ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file
 ORDER.remove("planner")
 # With all that is in them.
 MAY_READ_PDDL = (
-    *(f"assist.studies.{file}" for file in ("study", "plan_tables", "tasks", "cells", "protocol", "own_code_trials")),
+    *(f"assist.studies.{file}" for file in ("study", "plan_tables", "cells", "protocol", "own_code_trials")),
     "assist.drawing",
     "assist.connect.teams",
     "assist.connect.rendering",

@@ -11,9 +11,10 @@ from conftest import KITTING
 
 from assist.live.event_base import TeamEvent
 from assist.live.events import kinds
-from assist.studies.userstudy import StudySession, read
+from assist.studies.userstudy import StudySession, forecast, read
 from assist.studies.userstudy.csv_tables import written as written_rows
 from assist.studies.userstudy.events import StudyEvent
+from assist.studies.userstudy.forecast import Forecast
 from assist.studies.userstudy.tables import COLUMNS
 from planner import Table
 
@@ -62,6 +63,9 @@ policy = "attention"
 WITHOUT_PRACTICE = PLAN.replace(f'practice = "{KITTING}/tiny.pddl"\n', "")
 ALONE = WITHOUT_PRACTICE.replace("simulated = 2", "simulated = 0")
 
+ALIKE = PLAN.replace("seed = 3", "seed = 3\npopulation = { beta = [0.3, 1], theta = [0.7, 1] }")
+"""A study of people who are so much alike that few of them tell the difference of two conditions."""
+
 SCORES: dict[str, dict[str, Any]] = {
     "nasa-tlx": {
         "mental": 50, "physical": 10, "temporal": 20, "performance": 30, "effort": 40, "frustration": 0,
@@ -84,6 +88,17 @@ def exported(folder: Path, text: str = PLAN, tables: Mapping[str, Any] | None = 
         plain = [dict.fromkeys(columns) | row for row in ({**(tables or {}), **rows}).get(name, [])]
         (folder / f"{name}.csv").write_text(written_rows(columns, plain))
     return folder
+
+
+@pytest.fixture(scope="session")
+def foreseen(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Forecast:
+    """What 24 people who are alike would show, by one round of 40 simulated people."""
+    text = ALIKE.replace("seed = 3", "seed = 3\nparticipants = 24")
+    study = read(written(tmp_path_factory.mktemp("foreseen") / "study.toml", text))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(forecast, "PEOPLE", 40)
+        patch.setattr(forecast, "EFFORT", 0)
+        return Forecast.of(study, {"tiny": tiny})
 
 
 @pytest.fixture

@@ -19,10 +19,10 @@ from .options.goals import check_questions
 from .options.help import command
 from .options.policies import baseline_among, policies_of, policy_errors
 from .options.team import TeamOptions, team_of, team_options
-from .terminal.console import kept_if_interrupted, print_json
+from .terminal.console import kept_if_interrupted, print_json, print_table
 
 if TYPE_CHECKING:
-    from ..studies.reports.compared_policies import ComparedPolicy
+    from ..studies.reports.compared_policies import ComparedPolicy, PolicyComparison
 
 
 class Written(NamedTuple):
@@ -84,7 +84,6 @@ def simulate(
     from ..team.illustration import Illustration
     from ..team.policies import UserPolicy
     from ..team.simulate import simulate as run
-    from .output.episode_summaries import show_comparison
 
     setting, humans, seed = team.setting, team.humans, team.seed
     check_questions(setting, team.given, team.problems)
@@ -142,7 +141,21 @@ def simulate(
             "versions": versions(),
         })  # fmt: skip
     else:
-        show_comparison(compared, drawn, size)
+        _show(compared, drawn, size)
+
+
+def _show(found: PolicyComparison, drawn: int, pool: int) -> None:
+    """Print what policies led to, and how they differ; and how many people of the pool were in a team."""
+    print_table(*found.means())
+    click.echo(found.note() if drawn == pool else f"{found.note()}; {drawn} of {pool} people drawn")
+    for line in found.notes():
+        click.echo(f"{line} (--c-suggest)")
+    for row in found:
+        if row.summary.questions is not None:
+            click.echo(f"{row.policy}: {row.summary.questions:.2f} questions per episode")
+    if len(found) > 1 and found[0].summary.episodes > 1:
+        click.echo()
+        print_table(*found.differences())
 
 
 def _difference(one: ComparedPolicy) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def study(
     from ..people.user_code import UserCodeError
     from ..studies.cells import check
     from ..studies.protocol import read
-    from ..studies.reports.study_report import cost_notes, headline, limit_notes, require, write_report
+    from ..studies.reports.study_report import headline, notes, require, write_report
     from ..studies.runner import run_study
 
     say = partial(click.echo, err=True)
@@ -72,6 +72,6 @@ def study(
         return
     head, rows, pools = headline(summary)
     print_table(head, rows, left=range(len(head)))
-    for line in (*limit_notes(summary), *cost_notes(summary)):
+    for line in notes(summary):
         click.echo(line)
     click.echo(f"{pools}; the report is {out / 'report.md'}")

@@ -26,18 +26,9 @@ if TYPE_CHECKING:
     from ..web.user_study.service import StudyService
 
 OF_STUDIES = {
-    "study",
-    "rehearse",
-    "port",
-    "host",
-    "public_url",
-    "trusted_proxy",
-    "data",
-    "config",
-    "log_format",
-    "changes",
+    "study", "rehearse", "port", "host", "public_url", "trusted_proxy", "data", "config", "log_format", "changes",
     "setting_file",
-}
+}  # fmt: skip
 """Options that can be combined with `--study`. The study's file settles everything else."""
 
 

@@ -139,7 +139,7 @@ Seed = Annotated[Whole, Field(ge=0)]
 Text = Annotated[str, Strict(), Field(min_length=1), Expected("a text")]
 Range = Annotated[tuple[Number, Number], BeforeValidator(_pair), Expected("two numbers, [low, high]")]
 AnyText = Annotated[str, Strict(), Expected("a text")]
-Texts = Annotated[tuple[Text, ...], Field(min_length=1), Expected("a list of texts")]
+Texts = Annotated[tuple[Text, ...], Field(min_length=1), Expected("a list of one text or more")]
 Counts = Annotated[tuple[Count, ...], Field(min_length=1), Expected("a list of whole numbers of 1 or more")]
 AnyTable = Annotated[dict[str, Any], Strict(), Expected("a table")]
 
@@ -217,17 +217,24 @@ class DeclarationError(ValueError):
 
 
 class UserCodeError(DeclarationError):
-    """A user's function, class or file does not exist, fails, or does not return what it should."""
+    """A user's function, class or file does not exist, fails, or does not return what it should.
 
-    def __init__(self, message: str, place: Place = ()) -> None:
+    Attributes
+    ----------
+    code : object
+        The team policy at fault; None if it is other code, or not known, as after pickling.
+    """
+
+    def __init__(self, message: str, place: Place = (), *, code: object = None) -> None:
         super().__init__(place, None, message, f"{spelt(place)}: {message}" if place else message)
+        self.code = code
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.right, self.place)
 
     def within(self, place: Place) -> UserCodeError:
         """Return the fault as one of the code at a place."""
-        return UserCodeError(self.right, (*place, *self.place))
+        return UserCodeError(self.right, (*place, *self.place), code=self.code)
 
 
 def checked(kind: Any, value: Any) -> Any:

@@ -45,12 +45,16 @@ class Margin(Result):
     spread: float
     recorded: tuple[float, float]
 
+    @property
+    def ends(self) -> Range | None:
+        """The ends of the range of a uniform or log-uniform distribution; None for another family."""
+        return _ends(self.family, self.parameters)
+
     @classmethod
     def of(cls, family: str, parameters: tuple[float, ...], edges: Floats, shares: Floats, recorded: Floats) -> Margin:
         """Return the margin with means and spreads from the shares of cells, which are uniform within each cell."""
         low, high = edges[:-1], edges[1:]
-        if family.endswith("uniform"):  # the ends of the range lie within cells
-            ends = np.exp(parameters) if family == "log-uniform" else parameters
+        if (ends := _ends(family, parameters)) is not None:  # which lie within cells
             low, high = np.clip(low, *ends), np.clip(high, *ends)
 
         def moments(weights: Floats) -> tuple[float, float]:
@@ -79,6 +83,13 @@ class Margin(Result):
         kept = [(share, (low, high)) for i, (share, low, high) in enumerate(cells) if i not in rare]
         total = sum(share for share, _ in kept)
         return [(share / total, piece) for share, piece in kept]
+
+
+def _ends(family: str, parameters: tuple[float, ...]) -> Range | None:
+    if not family.endswith("uniform"):
+        return None
+    low, high = np.exp(parameters) if family == "log-uniform" else parameters
+    return float(low), float(high)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

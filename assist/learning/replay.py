@@ -211,7 +211,7 @@ def replay(
             try:
                 walk.go(event, int(states[i]), actions[here], targets[here], matcher)
             except Refusal as error:
-                walk.fault = _at(event.entry, f"step {event.entry.step}: {error}")
+                walk.fault = _at(event.entry, f"step {event.entry.step}: {error}{_renamed(event.action, matcher)}")
                 faults += walk.unknown(number + 1, matcher)
     faults += [walk.fault for walk in walks if walk.fault is not None]
     used = [walk for walk in walks if walk.taken and (walk.fault is None or not walk.fault.spoils)]
@@ -232,6 +232,13 @@ def _check_names(log: Log, matcher: Matcher, dropped: set[Words], renamed: Mappi
     for words in dropped:
         if words[:1] not in {(renamed.get(old, old),) for old in called}:
             raise ValueError(f"drop {' '.join(words)}: no action in {log.name} is called so")
+
+
+def _renamed(words: Words, matcher: Matcher) -> str:
+    """Return how an action is renamed whose name the task does not have, nor one of similar spelling."""
+    if not words or words[:1] in matcher.beginnings or matcher.meant(words[:1]) or words == (STAND_STILL[1:-1],):
+        return ""
+    return f"; if it has another name there, --rename {words[0]}=NAME (in Python rename={{'{words[0]}': NAME}})"
 
 
 def _at(entry: Entry, message: str, *, spoils: bool = True) -> Fault:

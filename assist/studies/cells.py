@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from planner import CostToGo, Instance, Table
+from planner import Cache, CostToGo, Instance, Table, cost_to_go, load
 from planner.system.errors import InputFileError
 from planner.system.progress import Progress, adding
 
 from ..declare.tables import fault
+from ..people.arguments import require_goal
 from ..people.choices import Choices
 from ..people.memory import choices_of
 from ..people.ranges import Population
@@ -35,7 +36,6 @@ from ..team.pool import Pool
 from ..team.simulate import simulate
 from ..team.state import TeamPolicy
 from .study import OWN, Cell, Study
-from .tasks import costs_of
 
 MEASURED = (
     "actions", "costs", "helped", "finished", "interventions", "moves", "steps", "discounted_return",
@@ -157,7 +157,12 @@ def _task(instance: Instance, names: tuple[str, ...] = ()) -> CostToGo | Choices
 
     What is enumerated is the same for all cells, and so are its solutions (`_solutions`). A truncated task has neither.
     """
-    known = costs_of(instance)
+    task = load(instance)
+    known = cost_to_go(task, cache=Cache(task))
+    try:
+        require_goal(float(known.lookup([known.initial])[0]))
+    except ValueError as error:
+        raise InputFileError(f"{instance}: {error}") from None
     return choices_of(known, names) if isinstance(known, Table) and (names or is_whole(known)) else known
 
 

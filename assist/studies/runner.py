@@ -135,12 +135,9 @@ def _about(folder: Path) -> dict[str, Any]:
         about = json.loads(file.read_bytes().decode())
     except FileNotFoundError:
         raise InputFileError.of(file, None, f"is missing; {lost}") from None
-    except UnicodeDecodeError:
-        raise InputFileError.of(file, None, f"is not text (UTF-8); {lost}") from None
-    except json.JSONDecodeError as error:
-        raise InputFileError.of(file, error.lineno, f"is not valid JSON; {lost}") from None
-    except (ValueError, RecursionError):
-        raise InputFileError.of(file, None, f"is not valid JSON; {lost}") from None
+    except (ValueError, RecursionError) as error:
+        what = "is not text (UTF-8)" if isinstance(error, UnicodeDecodeError) else "is not valid JSON"
+        raise InputFileError.of(file, getattr(error, "lineno", None), f"{what}; {lost}") from None
     if not isinstance(about, dict) or "schema" not in about:
         raise InputFileError.of(file, None, f"has no field 'schema'; {lost}")
     return about

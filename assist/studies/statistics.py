@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from ..learning.intervals import NONE, IntervalEstimate, wilson
 
 FEW = 10
-"""Number of pools, or of a condition's participants, below which results are called preliminary."""
+"""Number of pools, or of a condition's participants, below which results are called preliminary; see also `alike`."""
 LEVEL, POWER = 0.95, 0.8
 """Level of intervals and tests, and the power with which a difference counts as detectable."""
 EXACT = 200
@@ -97,6 +97,12 @@ def quotient(above: ArrayLike, below: ArrayLike) -> IntervalEstimate:
     """Return the ratio of two means of at least 0, with an interval as in `saving`, of numbers of at least 0."""
     found = _of_means((above, below), lambda a, b: a / b)
     return replace(found, low=max(found.low, 0.0))
+
+
+def alike(values: ArrayLike) -> float:
+    """Return how many equal values have the same sum and sum of squares (Kish, 1965): few, where few are large."""
+    x = np.asarray(values, dtype=float)
+    return float(x.sum() ** 2 / (x**2).sum()) if x.any() else float(len(x))
 
 
 def _of_means(columns: Sequence[ArrayLike], function: Callable[..., Any]) -> IntervalEstimate:
@@ -239,8 +245,13 @@ def mann_whitney(a: ArrayLike, b: ArrayLike) -> RankTest:
     Parameters
     ----------
     a, b : float arrays, shapes (n,) and (m,)
+
+    Raises
+    ------
+    ValueError
+        A value is NaN.
     """
-    x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    x, y = _known(a), _known(b)
     if not len(x) or not len(y):
         return RankTest(math.nan, math.nan)
     ranks = scipy.stats.rankdata(np.concatenate([x, y]))
@@ -261,8 +272,13 @@ def signed_rank(differences: ArrayLike) -> RankTest:
     differences : float array, shape (n,)
         The difference of each participant. Differences of 0 are left out. Those that differ by less
         than 1e-12 of the largest are equal.
+
+    Raises
+    ------
+    ValueError
+        A difference is NaN.
     """
-    every = np.asarray(differences, dtype=float)
+    every = _known(differences)
     largest = float(np.abs(every[np.isfinite(every)]).max(initial=0.0)) or 1.0
     every = np.round(every / largest, 12)  # 7/3 - 2 and 10/3 - 3 are equal but for rounding
     x = every[every != 0]
@@ -281,6 +297,13 @@ def signed_rank(differences: ArrayLike) -> RankTest:
         seen = doubled[x > 0].sum()
         p = min(1.0, 2 * float(chance[: min(seen, doubled.sum() - seen) + 1].sum()))
     return RankTest(p, float((ranks * np.sign(x)).sum() / ranks.sum()))
+
+
+def _known(values: ArrayLike) -> Any:
+    x = np.asarray(values, dtype=float)
+    if np.isnan(x).any():
+        raise ValueError("NaN among values to be ranked: expected a number for each participant who is compared")
+    return x
 
 
 def sign_test(larger: int, smaller: int) -> RankTest:

@@ -96,5 +96,5 @@ def require_no_memory(policy: TeamPolicy, again: Again, places: int) -> None:
     except UserCodeError:
         return
     if fault is not None:
-        raise UserCodeError(f"{policy.source}: {policy.name} {fault}")
+        raise UserCodeError(f"{policy.source}: {policy.name} {fault}", code=policy)
     policy.tried.add(places)

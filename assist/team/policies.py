@@ -174,4 +174,4 @@ class UserPolicy:
         try:
             return self.function(team)
         except (Exception, SystemExit) as error:
-            raise UserCodeError(described(error, self.file)) from error
+            raise UserCodeError(described(error, self.file), code=self) from error

@@ -165,7 +165,8 @@ class Simulation:
         try:
             check(team, action)
         except UserCodeError as error:
-            raise UserCodeError(f"{getattr(self.policy, 'source', self.wanted.name)}: {error}") from None
+            source = getattr(self.policy, "source", self.wanted.name)
+            raise UserCodeError(f"{source}: {error}", code=self.policy) from None
         if tracer is not None:
             tracer.decided(engine, team, action, teams)
         return action

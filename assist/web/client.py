@@ -15,11 +15,12 @@ import urllib.request
 import uuid
 from collections.abc import Iterator
 from typing import Any
-from urllib.parse import quote, unquote, urlencode, urlsplit
+from urllib.parse import parse_qsl, quote, unquote, urlencode, urlsplit
 
 from ..declare.refusals import Refusal
 from ..live.event_base import Event, TeamEvent
 from ..live.reports import Reports
+from .tokens import PARTICIPANT
 
 AGAIN = {408, 425, 429, 502, 503, 504, 507}
 """Status codes of temporary failures: too many requests, an overloaded service, a full disk, or a proxy that does not
@@ -52,6 +53,8 @@ class Client(Reports):
     ----------
     name : str or None
         The person of a join link, or the participant.
+    visit : dict of str
+        Of a signed link of a study: the `id` and the `signature` with which a seat is asked for. Else empty.
     """
 
     def __init__(self, link: str, *, patience: float = 30.0, pause: float = 0.2, silence: float = 40.0) -> None:
@@ -62,7 +65,9 @@ class Client(Reports):
             raise ValueError(f"{link[:40]!r}: expected a join link or the operator's link")
         self.url = f"{parts.scheme}://{parts.netloc}{found['root']}"
         self.name = None if found["name"] is None else unquote(found["name"])
-        self._token = token
+        self._token, query = token, dict(parse_qsl(parts.query))
+        signed = "participant" in query and "signature" in query
+        self.visit = {"id": PARTICIPANT + query["participant"], "signature": query["signature"]} if signed else {}
         self.patience, self._pause, self._silence = patience, pause, silence
 
     def ask(self, method: str, path: str, body: Any = None) -> Any:

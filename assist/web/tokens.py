@@ -22,6 +22,9 @@ from planner.system.files import atomic
 VISITOR = "?"
 """Owner of the join link's token of a user study. It is no participant's code, since codes contain letters."""
 
+PARTICIPANT = "participant "
+"""Begins the ids of participants whom another system, such as a recruiting service, identifies."""
+
 OWN = frozenset({"api", "docs", "join", "metrics", "openapi.json", "operator", "pages", "part", "study"})
 """First components of the service's own paths."""
 

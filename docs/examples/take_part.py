@@ -1,5 +1,6 @@
-"""Takes part in a user study over HTTP, as a page does: python take_part.py LINK, with the join link of the study.
+"""Takes part in a user study over HTTP, as a page does: python take_part.py LINK, with the study's join link.
 
+The signed link of a participant is taken, too.
 Without a suggestion it acts at random, which may take thousands of steps: give the study `minutes`.
 """
 
@@ -22,8 +23,9 @@ def answer(item: dict[str, Any]) -> Any:
 
 def take_part(link: str, visitor: str) -> dict[str, Any]:
     """Go through a study without groups, and return the last view."""
-    seat = Client(link).ask("POST", "/api/study/seats", {"id": visitor})
-    page, path = Client(Client(link).url + seat["part"]), f"/api/study/participants/{seat['person']}/onward"
+    door = Client(link)
+    seat = door.ask("POST", "/api/study/seats", door.visit or {"id": visitor})
+    page, path = Client(door.url + seat["part"]), f"/api/study/participants/{seat['person']}/onward"
     form = page.ask("GET", "/api/study/form")
     while True:
         seen = page.see()

@@ -58,6 +58,11 @@ class Command(RichCommand):
             raise click.NoSuchOption(error.option_name, said, ctx=ctx) from None
         except click.BadParameter as error:
             raise named(error) from None
+        except click.UsageError as error:
+            if "instance" not in ctx.params or not error.message.startswith("Got unexpected extra argument"):
+                raise
+            why = "one INSTANCE at a time; several in one `kitassist study`, or each by itself"
+            raise click.UsageError(f"{error.message}: expected {why}", ctx) from None
 
 
 def _hint(name: str, context: click.Context) -> str:

@@ -75,6 +75,7 @@ class ReadingOptions(NamedTuple):
         """
         from ...learning.evidence import replayed
         from ...learning.log import as_one_goal, selected, told
+        from ...people.action_names import words_of
 
         def tell(log: Log, faults: tuple[Fault, ...]) -> None:
             for line in told(faults, file):
@@ -91,7 +92,11 @@ class ReadingOptions(NamedTuple):
             click.echo(f"{file}: {said}", err=True)
         try:
             with usage_errors(InputFileError):
-                found = replayed(tasks, log, tell=tell, drop=self.drop, rename=names, strict=self.strict, **more)
+                called = {names.get(name, name) for name in log.called}
+                drop = [one for one in self.drop if not called or {*words_of(one)[:1]} <= called]
+                for one in {*self.drop} - {*drop}:  # the same options may be given with several logs
+                    click.echo(f"{file}: --drop {one}: no action is called so", err=True)
+                found = replayed(tasks, log, tell=tell, drop=drop, rename=names, strict=self.strict, **more)
         except InputFileError as error:
             fail(str(error), ExitCode.FAILED)
         for note in found.notes:

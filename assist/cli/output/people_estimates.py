@@ -131,8 +131,10 @@ def _lines_of(people: FittedPeople, found: PopulationFit | None) -> Iterable[str
     whose = f"population of {found.people}"
     for name, margin in (("beta", found.beta), ("theta", found.theta)):
         if margin is not None:
+            ends = margin.ends
+            between = "" if ends is None else f" from {ends[0]:.2f} to {ends[1]:.2f}"
             spread = f"mean {margin.mean:.2f}, standard deviation {margin.spread:.2f}"
-            yield f"{whose}: {name} is {margin.family}, {spread}"
+            yield f"{whose}: {name} is {margin.family}{between}, {spread}"
     for name, (mean, deviation) in found.weights.items():
         yield f"{whose}: the weight of {name} is normal, mean {mean:.2f}, standard deviation {deviation:.2f}"
     for name in next((one.weights for one in people.values()), {}):

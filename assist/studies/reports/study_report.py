@@ -119,7 +119,7 @@ def report_text(found: Found, summary: Record, pictures: dict[str, str]) -> str:
         pools={c.name: min(study.repeats, c.repeats or study.repeats) for c in study.conditions},
         differing={name: len({group[name] for group in groups}) for name in varying(groups, COLUMNS)},
         headline=_headline(study, summary), effects=_effects(study, summary),
-        notes=[*limit_notes(summary), *cost_notes(summary)],
+        notes=list(notes(summary)),
         claims=study_claims.claims(study, summary), contrasts=study_claims.contrasts(study, summary),
         team_sizes=_team_sizes(found, summary), decline=_decline(summary), kinds=_kinds_of_people(found, summary),
         readings=partial(study_claims.readings, study), sensitivity=_sensitivity(found, summary),
@@ -162,7 +162,14 @@ def _headline(study: Study, summary: Record) -> str:
     return markdown_table(head + ([reference.name, "comparison"] if reference and published else []), rows)
 
 
-def limit_notes(summary: Record) -> Iterator[str]:
+def notes(summary: Record) -> Iterator[str]:
+    """Yield what a reader of the headline should know: episodes that were cut off, and what little assistance means."""
+    yield from _limit_notes(summary)
+    yield from _cost_notes(summary)
+    yield from _pool_notes(summary)
+
+
+def _limit_notes(summary: Record) -> Iterator[str]:
     """Yield a note for each part of the headline in which episodes were cut off, with what can be compared then."""
     groups = _groups(summary)
     columns = varying(groups, COLUMNS)
@@ -177,14 +184,30 @@ def limit_notes(summary: Record) -> Iterator[str]:
             )
 
 
-def cost_notes(summary: Record) -> Iterator[str]:
+def _cost_notes(summary: Record) -> Iterator[str]:
     """Yield a note for each policy that weighs costs and hardly assists anybody."""
     for row in summary["seldom_assisted"]:
-        where = ", ".join(row[name] for name in ARM if row[name] and row[name] != OWN)
         yield (
-            f"{row['policy']} suggests something to {row['assisted']:.0f} % of people ({where}): hardly any suggestion "
-            f"is worth its cost (c_suggest {row['c_suggest']:g}); set a lower one in `[setting]`"
+            f"{row['policy']} suggests something to {row['assisted']:.0f} % of people ({_where(row)}): hardly any "
+            f"suggestion is worth its cost (c_suggest {row['c_suggest']:g}); set a lower one in `[setting]`"
         )
+
+
+def _pool_notes(summary: Record) -> Iterator[str]:
+    """Yield a note for each condition with means that rest on few of many pools."""
+    for condition in dict.fromkeys(row["condition"] for row in summary["uneven"]):
+        rows = [row for row in summary["uneven"] if row["condition"] == condition]
+        least = min(rows, key=lambda row: float(row["alike"]))
+        weigh = f"{least['pools']} pools weigh as {least['alike']:.1f} alike ones"
+        yield (
+            f"few pools make up most of {len(rows)} means of {condition}, such as that of {least['policy']}'s "
+            f"{least['measure']} ({_where(least)}), where {weigh}. Rare pools decide there, such as those with people "
+            "in a trap. These results are preliminary, as intervals are too narrow where such people are rarer still"
+        )
+
+
+def _where(row: Record) -> str:
+    return ", ".join(row[name] for name in ARM if row[name] and row[name] != OWN)
 
 
 def headline(summary: Record) -> tuple[list[str], list[list[str]], str]:

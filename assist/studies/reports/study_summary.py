@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,7 +102,8 @@ class Found:
             "schema": SCHEMA, "title": study.title, "seed": study.seed, "repeats": study.repeats,
             "fingerprint": study.fingerprint(), "headline": self.headline(), "cells": self.cells(),
             "comparisons": self.comparisons(), "seldom_assisted": self.seldom_assisted(),
-            "decline": self.decline(), "contrasts": self.contrasts(), "readings": self.readings(),
+            "uneven": self.uneven(), "decline": self.decline(), "contrasts": self.contrasts(),
+            "readings": self.readings(),
         }  # fmt: skip
 
     def headline(self) -> dict[str, Any]:
@@ -192,6 +194,17 @@ class Found:
             costs = set(self._setting(labels).fleet.each("c_suggest").tolist())
             if hardly_assists(policy, assisted) and len(costs) == 1:
                 found.append({**labels, "policy": policy, "assisted": assisted, "c_suggest": costs.pop()})
+        return found
+
+    def uneven(self) -> list[dict[str, Any]]:
+        """Return the means that rest on few of their pools: on fewer than half, and than `FEW`, if these were alike."""
+        found = []
+        for arm, own in self.arms():
+            for policy, measure in product(dict.fromkeys(own["policy"]), self.compared):
+                means = own[own["policy"] == policy].groupby("repeat")[measure].mean()
+                alike = statistics.alike(means)
+                if len(means) >= statistics.FEW > alike and alike < len(means) / 2:
+                    found.append({**arm, "policy": policy, "measure": measure, "pools": len(means), "alike": alike})
         return found
 
     def decline(self) -> list[dict[str, Any]]:

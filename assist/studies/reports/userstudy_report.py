@@ -19,6 +19,7 @@ from ...declare.declared import NOTHING, is_declared, names_of, plain, shown
 from ...drawing.plots import userstudy as draw
 from ...live.record import require_database
 from ...live.store import stored
+from ...people.ranges import advice_takers
 from ...person.settings import Setting
 from ..plan_tables import among
 from ..statistics import FEW
@@ -262,8 +263,11 @@ class ReportWording(Wording):
             "setting",
             shown({name: value for name, value in common.items() if name in always or usual.get(name) != value}),
         ]
-        people = plain(study.population)
-        yield ["population", shown({name: people[name] for name in ("beta", "theta", "sigma") if name in people})]
+        whole = study.population
+        people = {name: value for name, value in plain(whole).items() if name in ("beta", "theta", "sigma")}
+        if whole == advice_takers(whole.beta, whole.sigma, chooses=whole.chooses):
+            people["theta"] = self.texts.phrase("report.plan.real_people")
+        yield ["population", shown(people)]
         for asked in study.questionnaires:
             items = ", ".join(item.name for item in asked.items)
             where = {"conditions": list(asked.conditions)} if asked.conditions else {}

@@ -28,7 +28,6 @@ from ...people.decision import Floats
 from ...people.user_code import UserCodeError
 from ...person.settings import Setting
 from ...team.episodes import Episodes
-from ...team.policies import UserPolicy
 from ...team.policy_names import WEIGHING, hardly_assists
 from ...team.pool import Pool
 from ...team.simulate import simulate
@@ -412,13 +411,12 @@ def _drawn(words: list[int]) -> int:
 def _own_code(study: UserStudy, number: int, policy: str | TeamPolicy | None = None) -> Iterator[None]:
     """Give faults of the user's own code their place in the study's file: the number of the condition, from 1.
 
-    They are the policy's while it is loaded, and where its file is named; others are of people or of their rules.
+    They are the policy's while it is loaded, and where it is at fault; others are of people or of their rules.
     """
     try:
         yield
     except UserCodeError as error:
-        of_policy = policy is None or (isinstance(policy, UserPolicy) and str(error).startswith(f"{policy.file}:"))
-        place = f"conditions[{number}]{'.policy' if of_policy else ''}"
+        place = f"conditions[{number}]{'.policy' if policy is None or error.code is policy else ''}"
         raise fault(study.file, place, str(error)) from None
 
 

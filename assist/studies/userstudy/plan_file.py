@@ -237,7 +237,8 @@ def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Set
 def _population(file: Path, content: dict[str, Any], carried_out: bool) -> Population:
     """Return the prior over participants, whose influence is that of real people unless it is given."""
     if "file" in content:
-        raise fault(file, "population.file", "given; expected ranges, as the study's folder has no other file")
+        ranges = "the ranges in it, such as beta = [0.3, 2.5] and theta = [0.2, 0.9]"
+        raise fault(file, "population.file", f"given; expected {ranges}, as the study's folder has no other file")
     if carried_out:  # reports tell ranges, and the file of a choice model may be missing
         content = {name: value for name, value in content.items() if name != "chooses"}
     found = population(file, "population", content)

@@ -23,13 +23,9 @@ from ...studies.userstudy.session import StudySession
 from ...studies.userstudy.views import ParticipantView
 from ..request_limits import Allowance
 from ..service import Erasure, Service
-from ..tokens import VISITOR, AccessTokens, secret_in
+from ..tokens import PARTICIPANT, VISITOR, AccessTokens, secret_in
 from ..watchers import Watcher
 from .schemas import Assigned, Enrolled, Overview
-
-PARTICIPANT = "participant "
-"""Begins the ids of participants whom another system, such as a recruiting service, identifies."""
-
 
 CODES_KEY = "codes.key"
 """File of the key that leads from ids of browsers and of other systems to codes, which nothing else connects."""

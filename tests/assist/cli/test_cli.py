@@ -52,10 +52,10 @@ def test_solve_the_papers_instance() -> None:
 
 
 def test_every_instance_is_recorded_and_printed_and_a_bad_one_does_not_disturb_the_rest(tmp_path: Path) -> None:
-    """Unsolvable tasks, dead ends, costs, and a file with a fault, in two processes."""
+    """Unsolvable tasks, dead ends, costs, and a file with a fault."""
     bad = write_instance(tmp_path / "bad", "(define (domain kitting)", "(define (problem p) (:domain kitting))")
     names = [KITTING / "unsolvable.pddl", f"{KITTING}/s[e]aled.pddl", KITTING / "costs" / "ways.pddl", bad.problem]
-    result = invoke("solve", *names, "--out", tmp_path / "out", "--verify", 1, "--jobs", 2)
+    result = invoke("solve", *names, "--out", tmp_path / "out", "--verify", 1, "--jobs", 1)
     assert result.exit_code == 1
     records = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
     found = {Path(record["instance"]).stem: record for record in records}
@@ -136,7 +136,7 @@ def test_a_memory_limit_holds() -> None:
 
 
 @pytest.mark.cases
-@pytest.mark.parametrize("limit", [1, 30])
+@pytest.mark.parametrize("limit", thinned([30, 1]))
 def test_a_limit_below_what_python_takes_is_told_as_such(limit: int) -> None:
     result = kitassist("solve", KITTING / "tiny.pddl", "--memory-limit", limit)
     assert re.search(
@@ -213,9 +213,9 @@ THREE = ("--policy", "none", "--policy", "reactive", "--policy", "attention")
 
 def test_simulate_gives_identical_bytes_for_a_seed(tmp_path: Path) -> None:
     runs = []
-    for start in (invoke, kitassist):  # in this process, and as a user does
-        files = {name: tmp_path / f"{start.__name__}-{name}" for name in ("episodes.jsonl", "trace.jsonl")}
-        result = start(*TEAM, *THREE, "--json", "--out", files["episodes.jsonl"], "--trace", files["trace.jsonl"])
+    for number in range(2):
+        files = {name: tmp_path / f"{number}-{name}" for name in ("episodes.jsonl", "trace.jsonl")}
+        result = invoke(*TEAM, *THREE, "--json", "--out", files["episodes.jsonl"], "--trace", files["trace.jsonl"])
         assert result.stderr == ""
         runs.append((result.stdout, *(file.read_bytes() for file in files.values())))
     assert runs[0] == runs[1]
@@ -253,6 +253,7 @@ def test_simulate_prints_a_table_and_draws_a_picture(tmp_path: Path) -> None:
     ("arguments", "code", "words"),
     [
         ((KITTING / "tiny.pddl",), 2, "--humans"),
+        ((KITTING / "tiny.pddl", "kitting/paper", "--humans", 2), 2, "expected one INSTANCE at a time"),
         ((KITTING / "tiny.pddl", "--humans", 0), 2, "--humans"),
         ((KITTING / "tiny.pddl", "--humans", 5, "--pool", 3), 2, "more than --pool 3"),
         ((KITTING / "tiny.pddl", "--humans", 2, "--policy", "psychic"), 2, "psychic"),

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_origin
 
 import declared_tables
 import numpy as np
@@ -32,6 +32,7 @@ from assist.declare.declared import (
     Texts,
     Truth,
     Whole,
+    checked,
     declared,
     is_declared,
     phrase,
@@ -74,7 +75,7 @@ FAULTS: list[tuple[dict[str, Any], str]] = [
     ({"load": True}, "load True: expected a whole number from 0 to 10"),
     ({"brakes": 1}, "brakes 1: expected true or false"),
     ({"drive": "reer"}, """drive 'reer': expected "front" or "rear\""""),
-    ({"tags": ["a", 3]}, "tags ['a', 3]: expected a list of texts"),
+    ({"tags": ["a", 3]}, "tags ['a', 3]: expected a list of one text or more"),
     ({"wheels": [{}, {"size": 9}]}, "wheels[2].size 9: expected a number above 0 and below 9"),
     ({"wheels": [{"sise": 1}]}, "wheels[1].sise: unknown; did you mean 'size'?"),
     ({"wheels": [{"size": float("nan")}]}, "wheels[1].size nan: expected a number above 0 and below 9"),
@@ -102,7 +103,7 @@ def test_a_fault_is_one_sentence(wrong: dict[str, Any], message: str) -> None:
     ("text", "message"),
     [
         ("load = 11", ":2: load: 11; expected a whole number from 0 to 10"),
-        ("tags = [\n'a',\n3,\n]", ':2: tags: ["a", 3]; expected a list of texts'),
+        ("tags = [\n'a',\n3,\n]", ':2: tags: ["a", 3]; expected a list of one text or more'),
         ("[[wheels]]\n\n[[wheels]]\nsize = 9", ":5: wheels[2].size: 9; expected a number above 0 and below 9"),
         ("[[wheels]]\nsize = 1\nsise = 1", ":4: wheels[1].sise: unknown; did you mean 'size'?"),
         ("[[wheels]]\nsize = nan", ":3: wheels[1].size: NaN; expected a number above 0 and below 9"),
@@ -226,12 +227,18 @@ def values_outside(field: Any) -> Iterator[Any]:
         yield end if name in ("gt", "lt") else end + (1 if name == "le" else -1) * max(1, abs(end))
 
 
-@pytest.mark.parametrize("kind", [one for one in classes() if is_made_of_nothing(one)], ids=lambda one: one.__name__)
-def test_every_number_says_what_it_takes(kind: type) -> None:
+@pytest.mark.parametrize("kind", list(classes()), ids=lambda one: one.__name__)
+def test_every_number_and_every_choice_says_what_it_takes(kind: type) -> None:
+    """Of a class that is not made of nothing, each field is tried by itself."""
     for name, field in kind.__pydantic_fields__.items():  # type: ignore[attr-defined]
-        for wrong in values_outside(field):
-            with pytest.raises(DeclarationError, match=rf"^{name} .*: expected ") as refused:
-                kind(**{name: wrong})
+        own = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+        for wrong in (*values_outside(field), *["none of these"] * (get_origin(field.annotation) is Literal)):
+            if is_made_of_nothing(kind):
+                with pytest.raises(DeclarationError, match=rf"^{name} .*: expected ") as refused:
+                    kind(**{name: wrong})
+            else:
+                with pytest.raises(DeclarationError, match=r"expected ") as refused:
+                    checked(own, wrong)
             assert "\n" not in str(refused.value)
 
 

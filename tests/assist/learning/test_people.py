@@ -108,6 +108,14 @@ def test_eta_of_a_population_only_where_it_is_known(tiny: Table) -> None:
     assert eta == pytest.approx(0.2, abs=0.1)
 
 
+def test_actions_to_drop_that_a_log_does_not_have_are_said_and_stop_nothing(tmp_path: Path) -> None:
+    """The same options may be given with several logs."""
+    file = write_log(tmp_path / "log.jsonl", lines(FETCH, "pause", WRONG))
+    result = invoke("fit", KITTING / "tiny.pddl", file, "--drop", "nosuch", "--drop", "pause")
+    assert (result.exit_code, f"{file}: --drop nosuch: no action is called so\n" in result.stderr) == (0, True)
+    assert "pause" not in result.stderr
+
+
 SPOILT = '{"person": "a", "episode": 1, "step": 0, "action": "(stack a b)"}'
 
 
@@ -123,8 +131,6 @@ SPOILT = '{"person": "a", "episode": 1, "step": 0, "action": "(stack a b)"}'
         ("--set utility_scale=1e-300", None, "utility_scale: 1e-300; expected a number from 1e-09 to 1e+09"),
         ("--set eta=-1", None, "eta: -1; expected a number from 0"),
         ("--set level=2", None, "level: 2; expected a number above 0 and below 1"),
-        ("--drop nosuch", None, "drop nosuch: no action in "),
-        ("--drop nosuch --drop fetch", None, "drop nosuch: no action in "),
         ("--rename nosuch=fetch", None, "rename nosuch=fetch: no action in "),
         ("--rename fetch=nosuch", None, "rename fetch=nosuch: no action of the task is called 'nosuch'"),
         ("--rename fetch=return --rename fetch=place", None, "--rename fetch=place: 'fetch' is renamed already"),

@@ -87,7 +87,6 @@ def test_a_reference_has_the_savings_of_a_headline(tmp_path: Path) -> None:
     ("old", "new", "words"),
     [
         ("seed = 5", "seed = ", "not TOML (column 8: Invalid value)"),
-        ("seed = 5", "seed = -1", "seed: -1; expected a whole number of 0 or more"),
         ("seed = 5", "sed = 3", "sed: unknown; did you mean 'seed'?"),
         (
             "[populations.everybody]",
@@ -102,12 +101,9 @@ def test_a_reference_has_the_savings_of_a_headline(tmp_path: Path) -> None:
         ("pool = 4", "pool = 1", "conditions[1].humans: 2 people in a team; expected at most 1, the size of the pool"),
         ("tiny.pddl", "tinny.pddl", "tinny.pddl: no such file"),
         ("c_suggest = 0.2\n", "c_sugest = 0.2\n", "setting.c_sugest: unknown; did you mean 'c_suggest'?"),
-        ("c_suggest = 0.2\n", 'knowledge = "all"\n', 'setting.knowledge: "all"; expected "own" or "exact"'),
         ("c_move = 2.0", "c_move = -2.0", "conditions[2].settings[2].c_move: -2.0; expected a number from 0"),
         ("beta = [0.1, 0.5]", "beta = [0.5, 0.1]", "populations.novices.beta: [0.5, 0.1]; expected two numbers"),
         ("beta = [0.1, 0.5]", 'file = "people.json"', "populations.novices.file: "),
-        ("beta = [0.1, 0.5]", 'noise = "both"', 'populations.novices.noise: "both"; expected "state" or "action"'),
-        ("humans = [1, 2]", "humans = []", "humans: []; expected a list of whole numbers of 1 or more"),
         ("[setting]", "setting = 3\n[other]", "setting: 3; expected a table"),
         ('name = "novices"', 'name = "novices"\nrepeat = 2', "conditions[3].repeat: unknown; did you mean 'repeats'?"),
         ('policies = ["attention"]', 'policies = ["atention"]', "'atention'; did you mean 'attention'?"),

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import KITTING
 from fuzz import here
@@ -22,7 +23,7 @@ from assist.people.neighbours import Neighbours
 from assist.person import ObservationModel, Setting
 from assist.studies import Study, load_study, read, run_study
 from assist.studies.reports.study_figures import of_whom
-from assist.studies.reports.study_report import Report
+from assist.studies.reports.study_report import Report, notes
 from assist.studies.reports.study_summary import ARM, Found, has_same_baseline
 from assist.team.policy_names import BASELINES
 from planner import InputFileError, Instance, cost_to_go, load
@@ -310,6 +311,22 @@ def test_few_pools_are_said_to_be_few(small_study: tuple[Study, Path, dict], sev
         assert "**Few pools.** All conditions: fewer than 10 pools" in text
         saved = summary["headline"]["actions_vs_none"]
         assert saved["high"] - saved["low"] > 10  # percentage points, of two or three pools
+
+
+def test_results_that_rest_on_few_of_many_pools_are_said_to(small_study: tuple[Study, Path, dict]) -> None:
+    """Here of twelve pools alike, in one of which people take thirty times as many actions without assistance."""
+    study, out, _ = small_study
+    frame = load_study(out)
+    first = frame[(frame["condition"] == "first") & (frame["repeat"] == 0)]
+    pools = pd.concat([first.assign(repeat=number) for number in range(12)], ignore_index=True)
+    assert Found(study, pools).uneven() == []
+    trapped = (pools["repeat"] == 5) & (pools["policy"] == "none")
+    pools.loc[trapped, "human_actions_per_person"] *= 30
+    (row,) = Found(study, pools).uneven()
+    assert (row["policy"], row["measure"], row["pools"]) == ("none", "actions", 12)
+    assert row["alike"] == pytest.approx(41**2 / (11 + 30**2))
+    (note,) = notes({**small_study[2], "uneven": [row], "seldom_assisted": []})
+    assert "such as that of none's actions (first, everybody, tiny), where 12 pools weigh as 1.8 alike ones" in note
 
 
 def test_the_report_names_the_people_and_the_episode_that_is_drawn(several: Report) -> None:

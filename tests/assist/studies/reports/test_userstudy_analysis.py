@@ -23,7 +23,7 @@ from conftest import invoke
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import special, stats
-from userstudies import PLAN, SCORES, exported, written
+from userstudies import PLAN, SCORES, exported, foreseen, written
 
 from assist.cli.user_study import _report
 from assist.learning.intervals import holm
@@ -49,12 +49,13 @@ from assist.studies.userstudy.plan import UserStudy
 from assist.studies.userstudy.plan_file import read
 from assist.studies.userstudy.session import JOURNAL
 from assist.studies.userstudy.tables import COLUMNS, Tables
+from assist.web.client import Client
 from planner.system.errors import InputFileError
+
+__all__ = ["foreseen"]
 
 CONFIRMED = PLAN.replace("seed = 3", 'seed = 3\nconfirmatory = ["actions", "trust"]')
 WITHIN = CONFIRMED.replace("seed = 3", 'seed = 3\ndesign = "within"')
-ALIKE = "seed = 3\npopulation = { beta = [0.3, 1], theta = [0.7, 1] }"
-"""People who are so much alike that few of them tell the difference of two conditions."""
 
 
 @pytest.fixture
@@ -62,6 +63,12 @@ def few_people(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a forecast simulate one round of few people."""
     monkeypatch.setattr("assist.studies.userstudy.forecast.PEOPLE", 40)
     monkeypatch.setattr("assist.studies.userstudy.forecast.EFFORT", 0)
+
+
+@pytest.fixture
+def one_round(monkeypatch: pytest.MonkeyPatch, foreseen: Forecast) -> None:
+    """Let a forecast have the people of another one, whatever its study."""
+    monkeypatch.setattr(Forecast, "rounds", lambda study, *_, **__: iter([replace(foreseen, study=study)]))
 
 
 def rows_of(outcomes: list[tuple[str, str, int, float | None, int]], **more: Any) -> Tables:
@@ -519,7 +526,7 @@ def test_the_report_has_what_a_methods_section_needs(tmp_path: Path) -> None:
         "Participants arrived from 2026-11-27 12:00; ", f"with kitassist {version('kitassist')}.",
         "| tasks | tiny (cost of an optimal plan: 6) |", '| setting | {"c_suggest": 0.02, "c_move": 0.01, ',
         '| conditions: attention | {"policy": "attention", "reasons": false} |', "| simulated | 2 |",
-        '| population | {"beta": [0.1, 3.0], "theta": [0.0, 1.0], "sigma": [0.1, 1.0]} |',
+        '| population | {"beta": [0.1, 3.0], "theta": "as varied as in real people, from 0 to 1", ',
         '| questionnaires: trust | {"form": "likert", "when": "after", "items": "rely, wary"} |',
     ):  # fmt: skip
         assert said in plan, said
@@ -681,10 +688,14 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
 
 
 @pytest.mark.usefixtures("few_people")
-def test_a_plan_is_checked_without_registering_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = CONFIRMED.replace("seed = 3", f"{ALIKE}\nparticipants = 13")
+def test_a_plan_is_checked_without_registering_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, foreseen: Forecast
+) -> None:
+    text = CONFIRMED.replace("seed = 3", "seed = 3\nparticipants = 13")
     file = written(tmp_path / "study.toml", text)
-    said = invoke("study-prepare", file, "--check")
+    with monkeypatch.context() as patched:
+        patched.setattr(Forecast, "rounds", lambda study, *_, **__: iter([replace(foreseen, study=study)]))
+        said = invoke("study-prepare", file, "--check")
     printed = json.loads(said.stdout)
     (shown,) = printed.pop("sensitivity")
     assert printed == {"study": str(file), "places": 13, "comparisons": 2}
@@ -729,6 +740,10 @@ class Last:
 remembers = Last()
 
 
+def first(team):
+    return team.act(team.active.argmax(axis=1), team.first_optimal())
+
+
 class fickle:
     feedback, uses_answer = "actions", False
 
@@ -759,15 +774,14 @@ def test_a_fault_of_an_own_policy_is_said_in_one_line_before_anything_is_registe
 
 
 @pytest.mark.parametrize("after", [0, 1])
-@pytest.mark.usefixtures("few_people")
 def test_an_interrupt_ends_the_simulation_and_keeps_the_registration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, foreseen: Forecast, after: int
 ) -> None:
     """What is known by then is said: nothing before the first round has ended."""
-    file, data, rounds = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data", Forecast.rounds
+    file, data = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data"
 
-    def interrupted(study: Any, tasks: Any, **more: Any) -> Iterator[Forecast]:
-        yield from list(rounds(study, tasks, **more))[:after]
+    def interrupted(study: UserStudy, *_: object, **__: object) -> Iterator[Forecast]:
+        yield from [replace(foreseen, study=study)] * after
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Forecast, "rounds", interrupted)
@@ -782,12 +796,13 @@ def test_an_interrupt_ends_the_simulation_and_keeps_the_registration(
 
 @pytest.mark.cases
 @pytest.mark.usefixtures("few_people")
-def test_a_fault_of_an_own_trust_rule_is_not_said_of_the_policy(
+def test_a_fault_of_an_own_trust_rule_is_not_said_of_a_policy_in_its_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "own.py").write_text(OWN_CODE)
     monkeypatch.chdir(tmp_path)
-    file = written(tmp_path / "study.toml", CONFIRMED.replace("[setting]", '[setting]\ntrust = "own.py:fickle"'))
+    text = CONFIRMED.replace("[setting]", '[setting]\ntrust = "own.py:fickle"')
+    file = written(tmp_path / "study.toml", text.replace('policy = "attention"', 'policy = "own.py:first"'))
     refused = invoke("study-prepare", file, "--check")
     assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1), refused.output
     assert "policy" not in refused.stderr
@@ -795,18 +810,10 @@ def test_a_fault_of_an_own_trust_rule_is_not_said_of_the_policy(
 
 
 @pytest.mark.cases
-@pytest.mark.usefixtures("few_people")
-def test_participants_who_show_a_difference_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made, rounds = list[Forecast](), Forecast.rounds
-
-    def once(study: Any, tasks: Any, **more: Any) -> Iterator[Forecast]:
-        """Yield the forecast, whose people are the same whatever the design and the difference."""
-        made[:] = made or list(rounds(study, tasks, **more))
-        yield replace(made[-1], study=study)
-
-    monkeypatch.setattr(Forecast, "rounds", once)
+@pytest.mark.usefixtures("one_round")
+def test_participants_who_show_a_difference_are_counted(tmp_path: Path) -> None:
     for text in (CONFIRMED, WITHIN):
-        file = written(tmp_path / "study.toml", text.replace("seed = 3", f"{ALIKE}\nparticipants = 24"))
+        file = written(tmp_path / "study.toml", text.replace("seed = 3", "seed = 3\nparticipants = 24"))
         (shown,) = json.loads(invoke("study-prepare", file, "--check").stdout)["sensitivity"]
 
         def counted(difference: float, file: Path = file) -> int:
@@ -830,6 +837,8 @@ def test_links_of_participants_are_signed_by_a_command(tmp_path: Path) -> None:
     said = signed.stdout
     assert "from now on nobody joins without such a link" in signed.stderr
     links = {row["participant"]: row["link"] for row in csv.DictReader(io.StringIO(said))}
+    signature = links["a&b"].partition("signature=")[2].partition("#")[0]
+    assert Client(links["a&b"]).visit == {"id": "participant a&b", "signature": signature}
     assert list(links) == ["7", "a&b", "=1"]
     assert links["a&b"].startswith("https://host.example/kits/study?participant=a%26b&signature=")
     assert invoke(*options, "--public-url", "https://host.example/kits/").stdout == said

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from userstudies import PLAN, written
+from userstudies import ALIKE, PLAN, foreseen, written
 
 from assist.cli.study_prepare import _participants
 from assist.studies.repeated_measures import within_participants
@@ -17,6 +17,8 @@ from assist.studies.userstudy import forecast as forecasts
 from assist.studies.userstudy.forecast import Forecast, Sensitivity
 from assist.studies.userstudy.plan_file import read
 from planner import Table
+
+__all__ = ["foreseen"]
 
 
 def forecast(
@@ -29,15 +31,9 @@ def forecast(
         return Forecast.of(study, {"tiny": tiny}) if like is None else replace(like, study=study)
 
 
-ALIKE = PLAN.replace("seed = 3", "seed = 3\npopulation = { beta = [0.3, 1], theta = [0.7, 1] }")
-"""A study of people who are so much alike that few of them tell the difference of two conditions."""
-
-
-@pytest.fixture(scope="module")
-def found(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Forecast:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(forecasts, "PEOPLE", 40)
-        return forecast(tmp_path_factory.mktemp("study"), tiny, text=ALIKE)
+@pytest.fixture
+def found(foreseen: Forecast) -> Forecast:
+    return foreseen
 
 
 def test_a_study_says_before_it_begins_which_difference_it_can_show(
