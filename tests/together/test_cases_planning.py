@@ -270,21 +270,6 @@ def test_a_folder_is_a_line_for_each_instance_in_order_of_completion(capsys: pyt
     assert capsys.readouterr() == ("", "2 other instances: read by a\n1 other instance: so said\n")
 
 
-@pytest.mark.slow
-def test_lines_come_before_the_last_instance_is_done(tmp_path: Path) -> None:
-    hard = tmp_path / "z.pddl"
-    hard.write_text((KITTING / "ladder-6x12.pddl").read_text())
-    (tmp_path / "a.pddl").write_text(TINY.read_text())
-    (tmp_path / "domain.pddl").write_text((KITTING / "domain.pddl").read_text())
-    command = [Path(sys.executable).with_name("kitassist"), "solve", str(tmp_path), "--verify", "1"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("instance")
-        assert process.stdout.readline().split()[:3] == [str(tmp_path / "a.pddl"), "solved", "6"]
-        assert process.poll() is None
-        process.terminate()
-
-
 def test_a_limit_of_states_is_no_computation_of_all_of_them() -> None:
     done = invoke("solve", TINY, "--max-states", 1)
     assert done.stderr == f"{TINY}: solved on demand: more than 1 state\n"

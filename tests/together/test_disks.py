@@ -198,6 +198,7 @@ def test_people_and_the_operator_of_a_team_see_that_the_disk_is_full_and_nothing
 
 
 @pytest.mark.long
+@pytest.mark.slow
 def test_a_participant_and_the_researcher_see_that_the_disk_is_full_and_nothing_is_lost(
     chromium: Any, tiny: Table, disk: Path
 ) -> None:

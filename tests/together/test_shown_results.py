@@ -193,9 +193,12 @@ def test_no_object_fills_the_screen(episodes: Episodes) -> None:
     objects = [
         PAPER, PAPER.task, PAPER.space, PAPER.space.transitions, OnDemand(PAPER.task), choices, pomdp, pomdp.model,
         PersonProblem.of(PAPER), qmdp(pomdp), log, replay(log, PAPER)[0], people, people["ann"],
-        Pool.sample(kit("tiny"), 12, seed=1), episodes,
+        Pool.sample(kit("tiny"), 12, seed=1), episodes, episodes[0], fit({"kit": "kitting/tiny"}, rows()).population(),
     ]  # fmt: skip
-    assert {type(one).__name__: len(repr(one)) for one in objects if len(repr(one)) > 800} == {}
+    for one in objects:
+        assert len(repr(one)) < 800, type(one)
+        assert " object at 0x" not in repr(one)
+        assert repr(pickle.loads(pickle.dumps(one))) == repr(one)
     assert repr(choices).startswith("Choices(h=<float64 (836,)>, goal=<bool (836,)>, applicable=<bool (836, ")
     assert outline(episodes).startswith("Episodes(policy='reactive', episode=<int64 (5,)>, people=<int64 (5, 2)>, ")
 

@@ -13,7 +13,7 @@ import pytest
 from conftest import KITTING
 from fuzz import here
 
-from assist import Pool, compare, simulate
+from assist import Pool, compare, fit, simulate
 from assist.certify.coupled import Agents, bound, joint_optimum, sampled_bound
 from assist.certify.coupled import certify as certify_coupled
 from assist.certify.coupled import simulate as simulate_coupled
@@ -76,6 +76,15 @@ def test_without_a_result_the_error_says_how_far_it_came(name: str) -> None:
 
 
 FINISHED: dict[str, tuple[Callable[[float | None], Any], Callable[[Any], Any]]] = {
+    "simulate": (
+        lambda limit: simulate(
+            Pool.sample("kitting/tiny", 2, seed=0), "none", humans=2, episodes=70, seed=0, time_limit=limit
+        ), len,
+    ),
+    "fit": (
+        lambda limit: fit("kitting/tiny", recorded(), model="misconceptions", time_limit=limit),
+        lambda found: -sum(one["error"] == "not estimated within the time limit" for one in found.unknown.values()),
+    ),
     "compare": (
         lambda limit: compare(Pool.sample("kitting/tiny", 2, seed=0), "none", humans=2, episodes=70, time_limit=limit),
         lambda found: found[0].summary.episodes,
@@ -102,10 +111,7 @@ FINISHED: dict[str, tuple[Callable[[float | None], Any], Callable[[Any], Any]]] 
         lambda found: -found.bound.upper,
     ),
 }  # fmt: skip
-"""A call under a limit, and how much of it is done: more, the longer it takes.
-
-`test_cases_python` has those of `simulate` and `fit`.
-"""
+"""A call under a limit, and how much of it is done: more, the longer it takes."""
 
 
 LONG = {"coupled.simulate", "coupled.certify"}

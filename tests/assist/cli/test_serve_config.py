@@ -15,7 +15,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import click
-import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import ROOT, kit
@@ -30,7 +29,6 @@ from assist.cli.options.config import read_config
 from assist.cli.options.live import changed_settings
 from assist.cli.options.settings import ServeSetting
 from assist.cli.serve import serve
-from assist.declare import InapplicableError
 from assist.declare.declared import names_of
 from assist.declare.options import FieldOption, Given, Value, printed
 from assist.live import Session
@@ -331,17 +329,6 @@ def test_changed_distances_are_restored_and_required(tmp_path: Path) -> None:
     again.close()
     with pytest.raises(InputFileError, match="distance"):
         Session(table, file, setting=setting, distance=NEAR)
-
-
-def test_distances_can_replace_places_that_grew(tmp_path: Path) -> None:
-    session = Session(kit("tiny"), tmp_path / "journal.sqlite", setting=Setting(c_suggest=0.02, c_move=0.01))
-    for name in ("ann", "bob", "eve"):
-        session.join(name)
-    session.rearrange(1.0 - np.eye(4))
-    assert session.observe("eve", "(fetch box-a)")["steps"] == 1
-    with pytest.raises(InapplicableError, match="larger matrix"):
-        session.join("dan")
-    session.close()
 
 
 class _Line:

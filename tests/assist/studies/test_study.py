@@ -152,25 +152,6 @@ def test_results_of_nobody_knows_what_are_neither_continued_nor_replaced(
             load_study(results)
 
 
-@pytest.mark.parametrize(
-    ("body", "line", "what"),
-    [
-        ("    raise RuntimeError('out of\\nideas')", 2, "RuntimeError: out of ideas"),
-        ("    team = {}\n    return team['oops']", 3, "KeyError: 'oops'"),
-        ("    return None", 1, "expected a TeamAction"),
-    ],
-)
-def test_a_policy_that_fails_is_named_with_its_line_and_words(tmp_path: Path, body: str, line: int, what: str) -> None:
-    (tmp_path / "mine.py").write_text(f"def faulty(team):\n{body}\n")
-    study = read(write(tmp_path, TINY.replace('policies = ["attention"]', 'policies = ["mine.py:faulty"]')))
-    cell = next(cell for cell in study.cells() if cell.condition == "dear")
-    with pytest.raises(UserCodeError) as caught:
-        carry_out(cell, study)
-    assert str(caught.value).startswith(f"{tmp_path / 'mine.py'}:{line}: ")
-    assert what in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
 def test_a_policy_that_remembers_former_calls_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "CALLS = []\ndef third(team):\n    CALLS.append(team)\n"
