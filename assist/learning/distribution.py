@@ -222,13 +222,7 @@ def mixture(record: dict[str, Any]) -> Population:
 
 
 def trust_of(record: dict[str, Any]) -> TrustRule | None:
-    """Return the trust rule of a `PopulationFit.as_dict`; None if none was fitted.
-
-    Raises
-    ------
-    ValueError
-        The entry is no trust rule.
-    """
+    """Return the trust rule of a `PopulationFit.as_dict`; None if none was fitted."""
     plain = record.get("trust")
     if plain is None:
         return None
@@ -241,13 +235,7 @@ def trust_of(record: dict[str, Any]) -> TrustRule | None:
 
 
 def unidentified_of(record: dict[str, Any]) -> dict[str, float]:
-    """Return the parameters of the trust rule of a `PopulationFit.as_dict` that are not known, with their values there.
-
-    Raises
-    ------
-    ValueError
-        An entry is no number, or is not there.
-    """
+    """Return the parameters of the trust rule of a `PopulationFit.as_dict` that are not known, with their values."""
     names, trust = record.get("unidentified") or [], record.get("trust")
     if not isinstance(names, list) or (names and not isinstance(trust, dict)):
         raise ValueError(f"unidentified {names!r}; expected names of numbers in trust")
@@ -255,13 +243,7 @@ def unidentified_of(record: dict[str, Any]) -> dict[str, float]:
 
 
 def rate_of(record: dict[str, Any]) -> dict[str, float]:
-    """Return the rate of the trust update of a `PopulationFit.as_dict`, with its unit; empty if none was estimated.
-
-    Raises
-    ------
-    ValueError
-        An entry is no number.
-    """
+    """Return the rate of the trust update of a `PopulationFit.as_dict`, with its unit; empty if none was estimated."""
     if record.get("eta") is None:
         return {}
     found = {"eta": record["eta"], "utility_scale": record.get("utility_scale", 1.0)}

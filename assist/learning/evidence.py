@@ -236,13 +236,7 @@ def observed(
 def observations_of(
     people: Evidence | Sequence[Observations], terms: Mapping[str, Term] | None = None
 ) -> Sequence[Observations]:
-    """Return each person's observations, which may be given as a replayed log.
-
-    Raises
-    ------
-    TypeError
-        They are something else, such as the name of a log.
-    """
+    """Return each person's observations, which may be given as a replayed log."""
     if isinstance(people, Evidence):
         return people.observations(terms)
     if isinstance(people, Sequence) and all(isinstance(one, Observations) for one in people):

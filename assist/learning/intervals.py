@@ -20,14 +20,7 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class IntervalEstimate:
-    """An estimate with a confidence interval.
-
-    Attributes
-    ----------
-    value : float
-    low, high : float
-        Ends of the interval; NaN where the data determine none, such as that of a single pool or of equal ones.
-    """
+    """An estimate with a confidence interval, whose ends are NaN where the data determine none, as that of one pool."""
 
     value: float
     low: float = math.nan
@@ -68,10 +61,7 @@ def wilson(successes: int, n: int, level: float = 0.95) -> IntervalEstimate:
 def holm(p_values: Sequence[float]) -> list[float]:
     """Return the p-values adjusted for their number (Holm, 1979), which bounds the family-wise error.
 
-    Parameters
-    ----------
-    p_values : sequence of float
-        Undefined ones (NaN) count as 1: the family is as large as it was planned.
+    Undefined ones (NaN) count as 1: the family is as large as it was planned.
     """
     given = np.asarray(p_values, dtype=float)
     values = np.where(np.isnan(given), 1.0, given)
@@ -86,24 +76,14 @@ def largest_fall(level: float) -> float:
 
 
 def end_of(
-    margin: Callable[[float], float],
-    inside: float,
-    outwards: Iterable[float],
-    tolerance: float,
+    margin: Callable[[float], float], inside: float, outwards: Iterable[float], tolerance: float,
     relative: float = 1e-12,
-) -> tuple[float, bool]:
+) -> tuple[float, bool]:  # fmt: skip
     """Return the end of an interval, and whether it is open: nothing up to the last value is rejected.
 
-    Parameters
-    ----------
-    margin : callable
-        By how much a value is inside; below 0 if it is rejected.
-    inside : float
-        A value that is not rejected.
-    outwards : iterable of float
-        Values that are tried, one after another, up to the end of the range.
-    tolerance, relative : float
-        Largest error of the end: of a value, and as a share of it.
+    `margin` returns by how much a value is inside; below 0 if it is rejected. `inside` is not rejected. The values
+    `outwards` are tried one after another, up to the end of the range. `tolerance` and `relative` are the largest error
+    of the end, also as a share of it.
     """
     known = cache(margin)  # the root finder begins with the values at both ends
     for outside in outwards:

@@ -40,37 +40,15 @@ BETA_RANGE = 200.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LikelihoodTable(ByContent):
-    """What all people chose, arranged by person and suggestion; K people, up to H suggestions, B and T nodes.
+    """What all K people chose, arranged by person and suggestion, at B nodes of beta and T of theta.
 
-    If the goal is unknown, suggestions are those of all pairs of an episode and a goal (`Data`).
+    If the goal is unknown, suggestions are those of all pairs of an episode and a goal (`Data`). `heard` counts these,
+    H at most; later entries fill up arrays of shape (K, H). `told` and `accepted` count suggestions once, whatever the
+    number of goals. `anew` is whether an episode begins between a suggestion and the one before.
 
-    Attributes
-    ----------
-    people : tuple of str
-    counts : int array, shape (K,)
-        Number of choices of each person.
-    heard : int array, shape (K,)
-        Number of suggestions to each person, with each goal; later entries fill up the arrays.
-    told, accepted : int arrays, shape (K,)
-        Number of suggestions to each person, and of those that were followed: once, whatever the number of goals.
-    anew : bool array, shape (K, H)
-        Whether an episode begins between this suggestion and the one before.
-    followed : bool array, shape (K, H)
-    data : tuple of Data
-        The choices of each person.
-    silent : tuple of float arrays, each of shape (B, rows)
-        Log likelihood of each person's choices without a suggestion, by row of `Data`.
-    chances : tuple of float arrays, each of shape (B, 3, heard)
-        Probability, without the suggestion, of the choice made, of the suggested one, and of all but that one.
-    suggestions : PerceivedSuggestions
-        Arrays of shape (K, H).
-    beta, theta : float arrays, shapes (B,), (T,)
-        Nodes.
-    seen : SightTable
-        What each person saw of neighbours.
-    silences : int array, shape (K, H + 1, 2)
-        Number of steps without a suggestion before each suggestion, in earlier episodes and in its own; at last those
-        after the last suggestion, in later episodes and in its own.
+    `silent` and `chances` are of each person as `without_trust` returns them. `silences`, shape (K, H + 1, 2), counts
+    steps without a suggestion before each suggestion, in earlier episodes and in its own; at last those after the last
+    suggestion, in later episodes and in its own.
     """
 
     people: tuple[str, ...]

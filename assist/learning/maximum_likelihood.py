@@ -136,10 +136,7 @@ def _estimate(profiles: Profiles, axis: int, at: Floats, best: float, drop: floa
 class Profiles:
     """Maximisation of one person's log-likelihood in the coordinates (log1p(beta / small), theta, eta).
 
-    Attributes
-    ----------
-    axes : tuple of float array
-        Grid points of each coordinate; a known coordinate has one.
+    `axes` has the grid points of each; a known coordinate has one.
     """
 
     def __init__(self, observations: Observations, method: Method, largest: float) -> None:
@@ -185,15 +182,7 @@ class Profiles:
         return self._climbed(starts, self.step, 18)
 
     def largest(self, axis: int, value: float, near: Floats) -> tuple[float, Floats]:
-        """Return the largest log-likelihood with one fixed coordinate, and its coordinates.
-
-        Parameters
-        ----------
-        axis : int
-        value : float
-        near : float array, shape (3,)
-            A further starting point.
-        """
+        """Return the largest log-likelihood with one coordinate fixed, and all three; `near` is one more start."""
         fixed = np.array([value])
         if axis == BETA:
             values, places = (found[0] for found in self._lines(fixed, THETA, self.axes[ETA]))

@@ -82,17 +82,9 @@ def fit_misconception(fitted: PersonEstimate) -> MisconceptionFit:
     order = np.argsort(model.states)
     interval = (0.0 if sigma == 0 else end(-1), top if sigma >= top else end(1))
     return MisconceptionFit(
-        float(sigma),
-        interval,
-        interval[1] >= top,
-        beta,
-        float(best),
-        float(values[0]),
-        model.states[order],
-        model.h[order],
-        perceived[order],
-        model.seen[order],
-    )
+        float(sigma), interval, interval[1] >= top, beta, float(best), float(values[0]), model.states[order],
+        model.h[order], perceived[order], model.seen[order],
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

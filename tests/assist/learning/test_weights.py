@@ -248,7 +248,10 @@ def test_nobody_is_left_on_a_lower_maximum() -> None:
     assert (best > nodes - 0.01).all()
 
 
-@pytest.mark.parametrize("some", [slice(0, 4), slice(4, 12), slice(12, 20), slice(0, 20)])
+@pytest.mark.parametrize(
+    "some",
+    [slice(0, 4), *(pytest.param(slice(*ends), marks=pytest.mark.slow) for ends in ((4, 12), (12, 20), (0, 20)))],
+)
 def test_people_together_have_the_largest_likelihood(some: slice) -> None:
     likelihood = Likelihood.of(trusting()[some], Method())
     found, at = pooled(likelihood, known=False)
