@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from inspect import Parameter, signature
 from itertools import product
@@ -15,66 +14,51 @@ from pydantic import Field
 
 from planner.system.errors import expected
 
-from ..declare.declared import DeclarationError, Expected, Number, Range, checked
+from ..declare.declared import AnyText, Expected, Number, Range, declared
 from ..people.given_rules import rule_to_fit
 from ..people.trust_rules import RULES, TrustRule, constant, fields_of, fitted_of
 from ..people.user_code import UserCodeError
-from .intervals import Interval
 from .likelihood import Method
 
 KNOWN = ("eta", "utility_scale")
 """Parameters of rules that a `Method` may know."""
-Names = Annotated[frozenset[str], Expected("a set of names of ranges")]
-Tried = Annotated[tuple[Any, ...], Field(min_length=1), Expected("a tuple of tuples, each with a value for each range")]
 
 
-@dataclass(frozen=True)
+@declared
 class RuleFamily:
-    """A shipped trust rule whose parameters are to be estimated.
+    """A shipped trust rule whose parameters are to be estimated."""
 
-    Attributes
-    ----------
-    make : callable
-        Returns the rule with the parameters.
-    ranges : mapping of str to (float, float)
-        Range of each value, by the parameter's name.
-    tried : tuple of tuple of float
-        Values that are tried before the best are refined.
-    logarithms : frozenset of str
-        Parameters whose values are their logarithms.
-    beside : str
-        What beside suggestions to oneself moves theta, for the name of the rule.
-
-    Raises
-    ------
-    ValueError
-        They do not fit together: the message says where, and what is expected.
-    """
-
-    make: Callable[..., TrustRule]
-    ranges: Mapping[str, Interval]
-    tried: tuple[tuple[float, ...], ...]
-    logarithms: frozenset[str] = frozenset()
-    beside: str = ""
+    make: Annotated[
+        Callable[..., Any], Field(description="Returns the rule with the parameters."),
+        Expected("the class of a rule, or a function that returns one"),
+    ]  # fmt: skip
+    ranges: Annotated[dict[str, Range], Field(description="Range of each value, by the parameter's name.")]
+    tried: Annotated[
+        tuple[tuple[Number, ...], ...], Expected("a tuple of tuples, each with a value for each range"),
+        Field(min_length=1, description="Values that are tried before the best are refined."),
+    ]  # fmt: skip
+    logarithms: Annotated[
+        frozenset[str], Expected("a set of names of ranges"),
+        Field(description="Parameters whose values are their logarithms."),
+    ] = frozenset()  # fmt: skip
+    beside: Annotated[
+        AnyText, Field(description="What beside suggestions to oneself moves theta, for the name of the rule.")
+    ] = ""
 
     def __post_init__(self) -> None:
-        if not callable(self.make):
-            raise ValueError(f"make {self.make!r}: expected the class of a rule, or a function that returns one")  # noqa: TRY004
-        ranges = _at("ranges", dict[str, Range], self.ranges)
-        for name, (low, high) in ranges.items():
+        for name, (low, high) in self.ranges.items():
             if not low < high:
                 raise ValueError(f"ranges: {name} ({low:g}, {high:g}): expected two numbers, low < high")
-        _require_parameters(self.make, list(ranges))
-        for name in _at("logarithms", Names, self.logarithms):
-            if name not in ranges:
-                right = expected(name, ranges) if ranges else "expected none"
+        _require_parameters(self.make, list(self.ranges))
+        for name in self.logarithms:
+            if name not in self.ranges:
+                right = expected(name, self.ranges) if self.ranges else "expected none"
                 raise ValueError(f"logarithms: {name}: has no range; {right}")
-        for number, given in enumerate(_at("tried", Tried, self.tried)):
-            values = _at("tried", tuple[Number, ...], given, number)
-            if len(values) != len(ranges):
-                names = ", ".join(ranges) or "nothing"
+        for number, given in enumerate(self.tried):
+            if len(given) != len(self.ranges):
+                names = ", ".join(self.ranges) or "nothing"
                 raise ValueError(f"tried[{number + 1}] {given!r}: expected values of {names}, as many as ranges")
-            for (name, (low, high)), value in zip(ranges.items(), values, strict=True):
+            for (name, (low, high)), value in zip(self.ranges.items(), given, strict=True):
                 if not low <= value <= high:
                     raise ValueError(f"tried[{number + 1}] {given!r}: {name} is outside its range, {low:g} to {high:g}")
 
@@ -131,14 +115,6 @@ class RuleFamily:
     def of(cls, rule: Any) -> RuleFamily:
         """Return the family of one rule, without parameters to estimate."""
         return cls(lambda: rule, {}, ((),))
-
-
-def _at(field: str, kind: Any, value: Any, *place: int) -> Any:
-    """Return an argument as its type has it; a fault is told with the argument's name."""
-    try:
-        return checked(kind, value)
-    except DeclarationError as error:
-        raise error.within((field, *place)) from None
 
 
 def _require_parameters(make: Callable[..., Any], names: Sequence[str]) -> None:
