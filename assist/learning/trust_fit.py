@@ -121,13 +121,8 @@ class InfluenceFit(Result):
 
     def as_dict(self) -> dict[str, Any]:
         """Return estimates as plain data."""
-        return {
-            "rule": self.rule, "parameters": self.parameters, "intervals": self.intervals,
-            "unidentified": self.unidentified, "open_above": self.open_above, "population": vars(self.population),
-            "log_likelihood": self.log_likelihood, "carried": self.carried,
-            "log_likelihood_anew": self.log_likelihood_anew,
-            "people": [vars(one) for one in self.people],
-        }  # fmt: skip
+        shown = {name: value for name, value in vars(self).items() if name not in ("trust", "margins")}
+        return shown | {"population": vars(self.population), "people": [vars(one) for one in self.people]}
 
     def distribution(self) -> PopulationFit:
         """Return the estimated distribution of people, with the trust rule.

@@ -27,7 +27,7 @@ def people(kind: str) -> tuple[list[Observations], Method]:
     if kind == "goals":
         return [one.observations for one in fitted().values()], METHOD
     seen = observed(PAPER, ROWS)
-    return (with_model(seen, boltzmann, PAPER, 5.0) if kind == "own model" else seen), Method(lapse=0.01)
+    return (with_model(seen, boltzmann, PAPER, 5.0) if kind == "own model" else seen), Method(lapse=0.01, utility_scale=2.0)
 
 
 @pytest.mark.parametrize("kind", ["goal known", "goals", "own model"])

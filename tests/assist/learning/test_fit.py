@@ -30,7 +30,6 @@ from assist.learning.person_estimate import PersonEstimate
 from assist.learning.population import fit_population
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
 from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.person.pomdp import AssistPOMDP
@@ -77,28 +76,13 @@ def test_the_likelihood_by_hand(tiny: Table) -> None:
     good, bad = 1 / (1 + 2 * e), e / (1 + 2 * e)
     undone = 1 / (1 + e)  # of taking the hammer out and returning box-a
     refused = (1 - theta) * bad / (theta * good + (1 - theta) * 2 * bad)
-    later = theta + eta  # trust grows by the first suggestion, though it was refused
+    later = theta + eta / 2  # trust grows by the first suggestion, though it was refused
     taken = later * good / (later * good + (1 - later) * 2 * bad)
     expected = sum(log((1 - lapse) * p + lapse / n) for p, n in ((0.5, 2), (refused, 3), (undone, 2), (taken, 3)))
-    found = log_likelihood(o, np.array([beta]), np.array([theta]), np.array([eta]), Method(lapse=lapse))
+    method = Method(lapse=lapse, utility_scale=2.0)
+    found = log_likelihood(o, np.array([beta]), np.array([theta]), np.array([eta]), method)
     assert found.shape == (1, 1, 1)
     assert found[0, 0, 0] == pytest.approx(expected, rel=1e-12)
-
-
-def test_the_likelihood_is_that_of_the_model(paper_choices: Choices, team: list[Observations]) -> None:
-    """Step by step with `assist.people.decision`, for people of many actions."""
-    c = paper_choices
-    v = perceived_value(c, perceived_cost(c, c.h))
-    for o in team[:2]:
-        total, theta = 0.0, 0.0
-        for i in range(len(o)):
-            theta = 0.4 if o.begins[i] else theta
-            p = influence(choice(o.excess[i], o.applicable[i], 0.8), o.suggested[i], theta)
-            total += log(0.999 * p[o.chosen[i]] + 0.001 / o.applicable[i].sum())
-            if o.suggested[i] >= 0:
-                theta = float(trust(theta, v[o.state[i]], v[o.targets[i, o.suggested[i]]], 0.3, 2.0))
-        found = log_likelihood(o, np.array([0.8]), np.array([0.4]), np.array([0.3]), Method(utility_scale=2.0))
-        assert found.item() == pytest.approx(total, rel=1e-12)
 
 
 def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations], fits: list[PersonEstimate]) -> None:

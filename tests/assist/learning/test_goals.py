@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_unknown_goals import three_goals
 
-from assist.learning import InferredGoals, Log, fit, infer_goals
-from planner import Instance, OnDemand, PDDLError, Table, load, sweep, sweep_goals
+from assist.learning import Log, fit, infer_goals
+from planner import Instance, PDDLError, Table, load, sweep, sweep_goals
 
 KITS = ROOT / "docs" / "examples" / "kits"
 BETA = (0.2, 1.0, 4.0)
@@ -169,17 +169,6 @@ def test_a_goal_with_quantifiers_is_on_the_same_states(everywhere: Instance) -> 
     alone = infer_goals({"a": tables["a"], "b": tables["b"]}, optimal_log(tables["a"]))
     two = found.episodes[0].posterior[:, :2]
     np.testing.assert_allclose(two / two.sum(axis=1, keepdims=True), alone.episodes[0].posterior, atol=0.05)
-
-
-def test_states_on_demand_give_the_same(tiny: Table) -> None:
-    goals = TABLES["tiny"]
-    log = log_of({"ann": [walk(goals, np.random.default_rng(1), 2)]}, tiny.task.actions)
-    on_demand = infer_goals({name: OnDemand(table.task) for name, table in goals.items()}, log)
-    assert same(on_demand, infer_goals(goals, log))
-
-
-def same(one: InferredGoals, other: InferredGoals) -> bool:
-    return one.as_dicts() == other.as_dicts()
 
 
 @pytest.mark.parametrize(

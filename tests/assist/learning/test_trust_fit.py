@@ -246,12 +246,6 @@ def test_a_parameter_that_the_log_does_not_depend_on_has_the_whole_range() -> No
     assert {name for name, (_, high) in found.intervals.items() if high == 3.0} == set(found.open_above)
 
 
-def test_one_episode_is_the_same_carried_or_not() -> None:
-    rows = [row for row in recorded(outcome(0.3, 0.5), 6, 15, 6) if row["episode"] == "1"]
-    log = LikelihoodTable.of(seen(rows), Method())
-    assert np.array_equal(log.log_likelihood(outcome(), carry=True), log.log_likelihood(outcome(), carry=False))
-
-
 def test_it_is_said_where_theta_is_carried_of_people_who_begin_anew(log_file: Path, tmp_path: Path) -> None:
     """Simulated people forget what moved theta in the last episode; those of the other log do not."""
     log, said = tmp_path / "log.jsonl", "if theta begins anew in each episode, the log likelihood is"

@@ -262,16 +262,6 @@ def test_people_together_have_the_largest_likelihood(some: slice) -> None:
         assert reached > table.log_likelihood(EquationSeven(rate), carry=False).sum(axis=0).max() - 0.01
 
 
-def test_a_known_rate_of_trust_is_kept() -> None:
-    likelihood, _ = advised()
-    assert fit_hierarchy(likelihood).likelihood.eta == 0.1
-    assert fit_hierarchy(alone(), known=False).likelihood.eta == 0.0
-    near = np.array([[4.0, 0.4, *WEIGHTS]])
-    low, high, value = intervals(likelihood, near, 0.95)
-    assert (low <= high).all()
-    assert value >= likelihood.log_probability(near).sum()
-
-
 def test_whoever_is_predicted_was_not_seen() -> None:
     found = compare_models(observed(paper(), list(rows()), TERMS), folds=5)["boltzmann"]
     boltzmann, first = alone().with_terms([]), folds_of(COUNT, 5) == 0
