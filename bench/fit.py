@@ -20,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as Grid
 from scipy.stats import spearmanr
-from simulated_people import People, observed
+from simulated_people import People
 from simulated_people import record as recorded
 from tables import Columns, cell, more_option, record_option, write_record
 
@@ -32,6 +32,7 @@ from assist.learning import (
     fit_population,
     log_likelihood,
     maximum_likelihood,
+    observed,
 )
 from assist.learning.likelihood import largest_beta
 from planner import Cache, OnDemand, Table, Task, load, sweep

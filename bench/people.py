@@ -25,10 +25,10 @@ from pathlib import Path
 import click
 import numpy as np
 from recordings import Solved, make_up, moves_of, problem_text, read_all
-from simulated_people import observed, record_with_terms
+from simulated_people import record_with_terms
 from tables import cell, record_option, write_record
 
-from assist.learning import Log, Method, observe, replay
+from assist.learning import Log, Method, observe, observed, replay
 from assist.learning.comparison import ratio
 from assist.learning.hierarchy import fit_hierarchy, fit_terms, pooled
 from assist.learning.logit_likelihood import Likelihood
@@ -324,7 +324,7 @@ def recover(instance: str, people: int, actions: int, seeds: int, record: Path |
             )
             weights *= kind == "with terms"
             told = record_with_terms(table, beta, weights, actions, rng)
-            fits, _ = fit_terms(observed(table, told, TERMS), Method())
+            fits, _ = fit_terms(observed(table, told, terms=TERMS), Method())
             covered = {"beta": np.mean([_in(fit.beta_interval, true) for fit, true in zip(fits, beta, strict=True)])}
             for j, name in enumerate(TERMS):
                 held = [_in(fit.weights_interval[name], w) for fit, w in zip(fits, weights[:, j], strict=True)]

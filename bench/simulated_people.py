@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from assist.learning import EvaluatedStates, Log, Observations, observe, replay
-from assist.learning.replay import situation
-from assist.people import NOTHING_YET, Situation, Term, Vocabulary, features, goals_met
+from assist.people import NOTHING_YET, Situation, Vocabulary, features, goals_met
 from assist.people.decision import NOTHING, choice, influence, trust
 from assist.people.perceived_suggestions import PerceivedSuggestions, moved
 from assist.people.trust_rules import TrustRule
@@ -221,15 +218,3 @@ def record_with_trust(
     if last is not None:
         last[:] = theta
     return rows
-
-
-def observed(answers: CostToGo, rows: list[dict], terms: Mapping[str, Term] | None = None) -> list[Observations]:
-    """Return the observations of a log from `record`, as `kitassist fit` does."""
-    recording, faults = replay(Log.of(rows), answers)
-    assert not faults
-    wanted, goal = recording.wanted(), np.zeros(len(answers), dtype=bool)
-    known = EvaluatedStates.of(answers, wanted, answers.lookup(wanted), wanted, len(answers))
-    goal[wanted] = answers.is_goal(wanted)
-    if terms is None:
-        return observe(recording, known, goal)
-    return observe(recording, known, goal, tuple(terms), features(situation(recording, answers), terms))

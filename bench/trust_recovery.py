@@ -21,10 +21,10 @@ from typing import Any
 import click
 import numpy as np
 from neighbours import ToAnybody
-from simulated_people import People, observed, record_with_trust
+from simulated_people import People, record_with_trust
 from tables import cell, record_option, write_record
 
-from assist.learning import Observations, replayed
+from assist.learning import Observations, observed, replayed
 from assist.learning.held_out import compare_rules
 from assist.learning.trust_fit import fit_influence
 from assist.people.ranges import Population

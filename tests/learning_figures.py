@@ -22,7 +22,7 @@ sys.path += [str(ROOT / "bench"), str(ROOT / "tests"), str(ROOT / "tests" / "tog
 
 from gates_records import here  # noqa: E402
 from recorded import predictions, simulated  # noqa: E402
-from simulated_people import People, observed, record, record_with_terms, record_with_trust  # noqa: E402
+from simulated_people import People, record, record_with_terms, record_with_trust  # noqa: E402
 
 from assist.learning import (  # noqa: E402
     Log,
@@ -34,6 +34,7 @@ from assist.learning import (  # noqa: E402
     fit_population,
     infer_goals,
     maximum_likelihood,
+    observed,
     read_advice,
 )
 from assist.learning.advice_fit import base_of, fit_advice, fit_model  # noqa: E402
@@ -134,8 +135,8 @@ def of_acting(table: Table, count: int) -> Iterator[tuple[str, Callable[[], Any]
     told = record_with_terms(table, np.exp(rng.uniform(-1, 1, count)), weights, 30, rng)
     from assist.people import TERMS
 
-    yield "terms", lambda: estimates(fit_terms(observed(table, told, TERMS), Method())[0])
-    yield "models", lambda: models(compare_models(observed(table, told, TERMS), folds=3))
+    yield "terms", lambda: estimates(fit_terms(observed(table, told, terms=TERMS), Method())[0])
+    yield "models", lambda: models(compare_models(observed(table, told, terms=TERMS), folds=3))
 
 
 def of_goals(count: int) -> Iterator[tuple[str, Callable[[], Any]]]:

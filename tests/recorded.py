@@ -9,11 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from assist.learning import AdviceLog, Entry, EvaluatedStates, Log, Observations, observe
+from assist.learning import AdviceLog, Entry, Log
 from assist.learning.advice_model import LAPSE, AdviceModel
-from assist.learning.replay import replay
 from assist.people import Choices, choice, influence, perceived_cost, perceived_value, trust
-from planner import Table
 
 RIGHT, WRONG, BACK = "(place hammer slot-1 box-a)", "(place hammer slot-2 box-a)", "(return box-a)"
 FETCH = "(fetch box-a)"
@@ -30,13 +28,6 @@ def lines(
 
 def log_of(rows: list[dict]) -> Log:
     return Log(tuple(Entry(n, **row) for n, row in enumerate(rows, start=1)))
-
-
-def observed(table: Table, rows: list[dict]) -> list[Observations]:
-    recording, faults = replay(log_of(rows), table)
-    assert faults == []
-    states = np.arange(len(table))
-    return observe(recording, EvaluatedStates.of(table, states, table.h, states, len(table)), table.is_goal(states))
 
 
 def people_at_work(

@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from recorded import lines, log_of, observed, people_at_work
+from recorded import lines, log_of, people_at_work
 
-from assist.learning import EvaluatedStates, Observations, fit, observe, replay
+from assist.learning import EvaluatedStates, Observations, fit, observe, observed, replay
 from assist.live import Assistant
 from assist.people.choices import Choices
 from planner import CostToGo, OnDemand, Table, cost_to_go, load

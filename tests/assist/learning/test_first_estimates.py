@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import invoke, kit
-from recorded import lines, observed, people_at_work, write_log
+from recorded import lines, people_at_work, write_log
 from test_goal_fit import METHOD, fitted
 
-from assist.learning import Method, Observations, log_likelihood
+from assist.learning import Method, Observations, log_likelihood, observed
 from assist.learning.first_estimates import first_estimates
 from assist.learning.fit import with_model
 from assist.learning.likelihood import Data
@@ -27,7 +27,9 @@ def people(kind: str) -> tuple[list[Observations], Method]:
     if kind == "goals":
         return [one.observations for one in fitted().values()], METHOD
     seen = observed(PAPER, ROWS)
-    return (with_model(seen, boltzmann, PAPER, 5.0) if kind == "own model" else seen), Method(lapse=0.01, utility_scale=2.0)
+    return (with_model(seen, boltzmann, PAPER, 5.0) if kind == "own model" else seen), Method(
+        lapse=0.01, utility_scale=2.0
+    )
 
 
 @pytest.mark.parametrize("kind", ["goal known", "goals", "own model"])

@@ -14,11 +14,11 @@ import pytest
 from conftest import KITTING, costly, invoke, kit
 from hypothesis import given
 from hypothesis import strategies as st
-from recorded import BACK, FETCH, RIGHT, WRONG, lines, observed, people_at_work, write_log
+from recorded import BACK, FETCH, RIGHT, WRONG, lines, people_at_work, write_log
 from scipy.stats import kstest
 
 from assist import Pool, fit, simulate
-from assist.learning import FittedPeople, Log, misconception_fit
+from assist.learning import FittedPeople, Log, misconception_fit, observed
 from assist.learning.diagnostics import calibrate, check
 from assist.learning.distribution import mixture
 from assist.learning.likelihood import Method, largest_beta

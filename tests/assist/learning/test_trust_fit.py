@@ -16,7 +16,7 @@ from conftest import KITTING, ROOT, invoke, kit
 from recorded import write_log
 
 from assist.declare import plain
-from assist.learning import Method, Observations
+from assist.learning import Method, Observations, observed
 from assist.learning.comparison import Comparison, ratio
 from assist.learning.distribution import trust_of
 from assist.learning.held_out import REFERENCE, compare_rules
@@ -95,7 +95,7 @@ def recorded(rule: TrustRule, people: int, suggestions: int, seed: int, *, good:
 
 
 def seen(rows: list[dict]) -> list[Observations]:
-    return SIMULATED.observed(kit("tiny"), rows)
+    return observed(kit("tiny"), rows)
 
 
 def enumerated(

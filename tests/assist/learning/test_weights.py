@@ -14,9 +14,9 @@ from conftest import KITTING, invoke, kit
 from recordings import board_of, make_up, moves_of, problem_text, read_all
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import expit, logsumexp
-from simulated_people import People, observed, record, record_with_terms
+from simulated_people import People, record, record_with_terms
 
-from assist.learning import Log, Method, Observations, compare_models, fit, fit_population, hierarchy, mixture
+from assist.learning import Log, Method, Observations, compare_models, fit, fit_population, hierarchy, mixture, observed
 from assist.learning.comparison import folds_of
 from assist.learning.hierarchy import fit_hierarchy, fit_terms, intervals, pooled
 from assist.learning.likelihood_table import LikelihoodTable
@@ -43,7 +43,7 @@ def rows() -> tuple[dict, ...]:
 
 @cache
 def alone() -> Likelihood:
-    return Likelihood.of(observed(paper(), list(rows()), TERMS), Method())
+    return Likelihood.of(observed(paper(), list(rows()), terms=TERMS), Method())
 
 
 @cache
@@ -51,7 +51,7 @@ def advised() -> tuple[Likelihood, Observations]:
     """Return the data of a person who receives suggestions, and whose trust changes."""
     people = People(np.array([0.8]), np.array([0.6]), 0.1)
     told = record(paper(), people, episodes=4, rng=np.random.default_rng(2), suggest=0.5)
-    (o,) = observed(paper(), told, TERMS)
+    (o,) = observed(paper(), told, terms=TERMS)
     return Likelihood.of([o], Method(eta=0.1)), o
 
 
@@ -90,7 +90,7 @@ def test_probabilities_are_those_of_the_model() -> None:
 def test_weights_mean_what_a_choice_model_makes_of_them(tiny: Table) -> None:
     """A log's likelihood is that of `Weighted` on the states with memory in which the log was."""
     told = record_with_terms(tiny, np.ones(1), WEIGHTS[None], 12, np.random.default_rng(3))
-    likelihood = Likelihood.of(observed(tiny, told, TERMS), Method())
+    likelihood = Likelihood.of(observed(tiny, told, terms=TERMS), Method())
     at = np.array([[np.log1p(1.0 / likelihood.ranges.small), 0.0, *WEIGHTS]])
     choices = remembered(tiny, TERMS)
     assert isinstance(choices, Choices)
@@ -174,7 +174,7 @@ def test_a_term_in_which_no_choices_differ_has_no_weight_in_the_population(tiny:
 def test_one_person_alone_is_fitted_by_their_own_actions() -> None:
     some = Log.of(row for row in rows() if row["person"] == "person-03")
     (person,) = fit(paper(), some, model="terms").values()
-    (observations,) = observed(paper(), [row for row in rows() if row["person"] == "person-03"], TERMS)
+    (observations,) = observed(paper(), [row for row in rows() if row["person"] == "person-03"], terms=TERMS)
     own = Likelihood.of([observations], Method())
     _, best, _ = maximise(own, np.array([[4.0, 0.0, *WEIGHTS]]), np.array([[False, True] + [False] * 4]))
     assert best[0] - 1 < person.log_likelihood <= best[0]
@@ -263,7 +263,7 @@ def test_people_together_have_the_largest_likelihood(some: slice) -> None:
 
 
 def test_whoever_is_predicted_was_not_seen() -> None:
-    found = compare_models(observed(paper(), list(rows()), TERMS), folds=5)["boltzmann"]
+    found = compare_models(observed(paper(), list(rows()), terms=TERMS), folds=5)["boltzmann"]
     boltzmann, first = alone().with_terms([]), folds_of(COUNT, 5) == 0
     predicted = first[boltzmann.steps.person]
     learned, counts = ~predicted, np.bincount(boltzmann.steps.person)
@@ -278,7 +278,7 @@ def test_whoever_is_predicted_was_not_seen() -> None:
 
 def test_terms_predict_people_better_whose_choices_follow_them() -> None:
     stages = list[tuple[str, int, int | None]]()
-    people = observed(paper(), list(rows()), TERMS)
+    people = observed(paper(), list(rows()), terms=TERMS)
     found = compare_models(people, folds=4, progress=lambda *stage: stages.append(stage))
     assert stages == [("comparing models", done, len(TERMS) + 2) for done in range(len(TERMS) + 3)]
     document = found.as_dict()
@@ -299,7 +299,7 @@ def test_terms_predict_people_better_whose_choices_follow_them() -> None:
 
 def test_a_term_of_ones_own_is_compared_like_the_others() -> None:
     own = {"first": lambda s: (np.arange(s.applicable.shape[1]) == 0) & (s.last >= 0)[:, None]}
-    found = compare_models(observed(paper(), list(rows()), own), folds=2)
+    found = compare_models(observed(paper(), list(rows()), terms=own), folds=2)
     assert [row.model for row in found.scores] == ["boltzmann", "first"]
 
 
