@@ -15,7 +15,7 @@ from test_dense import composed, only_dense, tied
 from test_sweep import COMPILED, UNLISTED, module
 from test_sweep import check as compared
 
-from planner import Effect, LimitError, Operator, Packing, Task
+from planner import Effect, LimitError, Operator, Packing, SweepOptions, Task
 from planner.costtogo.orbit_table import orbits
 from planner.search import ranked_index
 from planner.search.invariants import Mutexes, determined, invariants
@@ -166,31 +166,27 @@ def test_what_is_in_use_all_the_time_counts() -> None:
         budget.during("it was looked for")(4e6)
 
 
-def test_where_looking_for_a_ranking_takes_too_much_memory_states_are_listed() -> None:
-    """Matrices of 160 facts need more memory than 1,681 states do."""
-    task = chains(2, 40)
-    plenty, little = (module.sweep(task, memory_limit_mb=limit, options=UNLISTED) for limit in (None, 1))
+@pytest.mark.parametrize(
+    ("task", "options", "limit", "why"),
+    [
+        # Matrices of 160 facts need more memory than 1,681 states do.
+        (chains(2, 40), UNLISTED, 1, "looking for a ranking took too much memory"),
+        # Sets of 400 moves for each of 4,096 rows need more memory than two states do.
+        (
+            turning([{}, *({3: 1} if a % 22 == 2 else {2: 1} for a in range(1, 400))], 22), COMPILED, 2,
+            "its ranking takes too much memory",
+        ),
+    ],
+    ids=["looking", "ranking"],
+)  # fmt: skip
+def test_where_a_ranking_takes_too_much_memory_states_are_listed(
+    task: Task, options: SweepOptions, limit: float, why: str
+) -> None:
+    plenty, little = (module.sweep(task, memory_limit_mb=most, options=options) for most in (None, limit))
     assert plenty.note is None
-    assert little.note is not None
-    assert little.note.endswith("looking for a ranking took too much memory")
-    assert len(little) == 41**2
-    equal(little, plenty)
-
-
-def test_where_a_ranking_takes_too_much_memory_states_are_listed() -> None:
-    """Sets of 400 moves for each of 4,096 rows need more memory than two states do."""
-    task = turning([{}, *({3: 1} if a % 22 == 2 else {2: 1} for a in range(1, 400))], 22)
-    plenty, little = (module.sweep(task, memory_limit_mb=limit, options=COMPILED) for limit in (None, 2))
-    assert plenty.note is None
-    assert little.note is not None
-    assert little.note.endswith("its ranking takes too much memory")
-    equal(little, plenty)
-
-
-def equal(one: Any, other: Any) -> None:
-    """Compare two tables, whatever the numbers of their states are."""
-    assert len(one) == len(other)
-    np.testing.assert_array_equal(one.h[one.numbers(other.values(np.arange(len(other))))], other.h)
+    assert str(little.note).endswith(why)
+    assert len(little) == len(plenty)
+    np.testing.assert_array_equal(little.h[little.numbers(plenty.values(np.arange(len(plenty))))], plenty.h)
 
 
 @pytest.mark.parametrize("listed", thinned([False, True]))
