@@ -183,5 +183,16 @@ def test_a_second_run_into_the_same_folder_is_refused(
     ):
         solve_batch([instance], out=out, jobs=0)
     assert list(out.iterdir()) == []
-    (record,) = solve_batch([instance], out=out, jobs=0)
+    heard: list[tuple[Instance, str]] = []
+    (record,) = solve_batch([instance], out=out, jobs=0, stages=lambda one, what, *_: heard.append((one, what)))
     assert record["status"] == "solved"
+    assert {(instance, "reading"), (instance, "saving")} <= set(heard)
+
+
+def test_workers_share_memory_and_processors(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "available_memory", lambda: 8e9)
+    monkeypatch.setattr(batch, "processors", lambda: 8)
+    for jobs, threads, memory, shared in ((4, None, None, (2, 2000)), (16, None, 9e9, (1, 500)), (2, 3, 600, (3, 600))):
+        found = batch._shared(SolveOptions(threads=threads, memory_limit=memory), jobs)
+        assert (found.threads, found.memory_limit) == shared
+    assert batch._shared(OPTIONS, 1) is OPTIONS
