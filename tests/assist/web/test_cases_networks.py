@@ -14,8 +14,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from networks import NGINX, Wire, free_port, proxy, running
+from networks import NGINX, Wire, ask, conducted, free_port, proxy, running
 from test_live_pages import violations
+from userstudies import PLAN
 
 from assist.live import Joined, Session
 from assist.live.live_setting import LiveSetting
@@ -103,16 +104,22 @@ def is_hidden(page: Any, hidden: bool) -> None:
 def test_of_many_windows_some_rest_and_a_hidden_one_is_current_when_it_is_shown(
     chromium: Any, tiny: Table, tmp_path: Path
 ) -> None:
-    """Windows that rest leave connections for the requests of all; a hidden one has no stream."""
+    """Windows that rest leave connections for the requests of all; a hidden one has no stream. Here two may be open."""
     with line(tiny, tmp_path, chromium) as here:
-        pages = [here.page(("bob", "ann")[number % 2]) for number in range(5)]
+
+        def few(route: Any) -> None:
+            answer = route.fetch()
+            assert "const MOST = 4;" in answer.text()
+            route.fulfill(response=answer, body=answer.text().replace("const MOST = 4;", "const MOST = 2;"))
+
+        here.context.route("**/connection.js", few)
+        pages = [here.page(name) for name in ("bob", "ann", "bob")]
         for page in pages[1:]:
             says(page, "Connected")
         says(pages[0], "Updates when this window is used")
-        pages[-1].click('#actions button[data-action="(fetch box-a)"]')
-        for page in (pages[2], pages[4]):
-            has_done(page, 1)
-        has_done(pages[3], 0)  # ann's
+        pages[2].click('#actions button[data-action="(fetch box-a)"]')
+        has_done(pages[2], 1)
+        has_done(pages[1], 0)  # ann's
         pages[0].mouse.click(5, 5)
         has_done(pages[0], 1)
         says(pages[0], "Connected")
@@ -275,27 +282,25 @@ def test_a_full_disk_and_a_lost_broker_are_on_all_pages_also_on_a_phone(
 ) -> None:
     with line(tiny, tmp_path, chromium) as here:
         phone = chromium.new_context(viewport={"width": 360, "height": 640}, has_touch=True, is_mobile=True)
-        seats, operator = [here.page(), here.page("bob", phone)], here.page(None)
-        for page in (*seats, operator):
+        seat, operator = here.page("bob", phone), here.page(None)
+        for page in (seat, operator):
             says(page, "Connected")
             assert page.locator("#fault").is_hidden()
         with broken(here):
-            for page in (*seats, operator):
+            for page in (seat, operator):
                 says(page, "Connected, but with a fault")
                 assert page.locator("#connection.lost").is_visible()
-            for page in seats:
-                assert page.inner_text("#fault").startswith(
-                    "Actions cannot be saved at the moment (No space left on device at the last attempt)."
-                )
-                assert page.locator("#fault").bounding_box()["y"] < 640  # without scrolling
-            assert violations(seats[1]) == []
+            full = "Actions cannot be saved at the moment (No space left on device at the last attempt)."
+            assert seat.inner_text("#fault").startswith(full)
+            assert seat.locator("#fault").bounding_box()["y"] < 640  # without scrolling
+            assert violations(seat) == []
             told = operator.inner_text("#fault")
             assert "MqttBridge is not connected." in told
             assert "Events cannot be saved: No space left on device at the last attempt." in told
             assert "MQTT: ann: 2 reports wait for the number 4, which has not arrived." in told
-            late = here.page("bob", phone)  # whoever comes now is told, too
+            late = here.page()  # whoever comes now is told, too
             says(late, "Connected, but with a fault")
-        for page in (*seats, operator):
+        for page in (seat, operator):
             says(page, "Connected")
             assert page.locator("#fault").is_hidden()
         phone.close()
@@ -346,3 +351,99 @@ def test_clicks_and_the_focus_are_kept_where_people_work(chromium: Any, tiny: Ta
         operator.keyboard.press("Enter")
         operator.wait_for_selector('.card:has-text("bob")', state="detached")
         operator.wait_for_function("() => document.activeElement.id === 'people-title'")
+
+
+# Two tabs of one participant, of which one was left at an earlier stage: each step counts once, where it was meant.
+
+
+def heading(page: Any, words: str) -> None:
+    page.wait_for_function("words => document.getElementById('stage-title')?.textContent === words", arg=words)
+
+
+def test_a_tab_that_was_left_behind_does_nothing_twice_and_catches_up(
+    chromium: Any, tiny: Table, tmp_path: Path
+) -> None:
+    plan = list(tiny.optimal_plan(tiny.initial) or ())
+    with conducted(tiny, tmp_path, PLAN) as service:
+        context = chromium.new_context()
+        late, ahead = context.new_page(), context.new_page()
+        for page in (late, ahead):
+            page.set_default_timeout(PATIENCE)
+            page.goto(service.join_url())
+            heading(page, "Taking part")
+        assert len(service.session.people) == 1  # of one browser
+        (person,) = service.session.people
+
+        def stage() -> str:
+            return str(service.session.person(person)["study"]["stage"])
+
+        # Forms: what the late tab shows was sent by the other one.
+        ahead.click("#form button.main")
+        for page in (late, ahead):
+            heading(page, "What you will do")
+        is_hidden(late, True)
+        ahead.click("#form button.main")
+        ahead.wait_for_selector(f'#actions button[data-action="{plan[0]}"]')
+        heading(late, "What you will do")
+        late.click("#form button.main")
+        late.wait_for_selector(f'#actions button[data-action="{plan[0]}"]')
+        assert stage() == "practice"
+
+        # Tasks: an action in practice is none in the task.
+        is_hidden(late, True)
+        for steps, action in enumerate(plan, start=1):
+            ahead.click(f'#actions button[data-action="{action}"]')
+            if steps < len(plan):
+                has_done(ahead, steps)
+        ahead.click("button.main:visible:has-text('Continue')")
+        has_done(ahead, 0)
+        assert stage() == "task tiny"
+        late.click(f'#actions button[data-action="{plan[0]}"]')
+        late.wait_for_function("() => !document.title.includes('Practice')")
+        assert service.session.person(person)["steps"] == 0
+        has_done(late, 0)
+        late.click(f'#actions button[data-action="{plan[0]}"]')
+        for page in (late, ahead):
+            has_done(page, 1)
+        context.close()
+    actions = [row for row in service.session.log() if row["person"] == person]
+    assert len(actions) == 1
+
+
+@pytest.mark.parametrize("ends", [pytest.param("thanks", marks=pytest.mark.slow), "withdrew"])
+def test_nothing_that_somebody_typed_stays_in_the_browser_for_the_next_person(
+    chromium: Any, tiny: Table, tmp_path: Path, ends: str
+) -> None:
+    """In a laboratory the tab stays open; a participant may also have withdrawn by the code, on another device."""
+    first = PLAN.index("[[questionnaires]]")
+    last = PLAN.index('[[questionnaires]]\nform = "text"')
+    plan = (PLAN[:first] + PLAN[last:]).replace('form = "text"', 'form = "text"\nwhen = "before"')
+    with conducted(tiny, tmp_path, plan) as service:
+        context = chromium.new_context()
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        page.goto(service.join_url())
+        for words in ("Taking part", "What you will do"):
+            heading(page, words)
+            page.click("#form button.main")
+        heading(page, "In your own words")
+        page.fill("#form textarea", "Quittenmus am Dienstag")
+        kept = "() => JSON.stringify([...Object.entries(sessionStorage), ...Object.entries(localStorage)])"
+        page.wait_for_function(f"() => ({kept})().includes('Quittenmus')")
+        page.reload()
+        page.wait_for_function("() => document.querySelector('#form textarea')?.value.startsWith('Quittenmus')")
+        (person,) = service.session.people
+
+        if ends == "thanks":
+            page.click("#form button.main")
+            page.wait_for_selector("#actions button")
+            for stage in ("practice", "task tiny"):
+                for action in tiny.optimal_plan(tiny.initial) or ():
+                    ask(service, "POST", f"/api/people/{person}/actions", json={"action": action})
+                ask(service, "POST", f"/api/study/participants/{person}/onward", json={"stage": stage})
+            heading(page, "Thank you")
+        else:
+            ask(service, "POST", f"/api/study/participants/{person}/withdraw", json={})
+            heading(page, "You have left the study")
+        page.wait_for_function(f"() => !({kept})().includes('Quittenmus')")
+        context.close()
