@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from conftest import DOMAINS, kit, table_of
 
-from assist.declare import AbsentError, InapplicableError, Refusal, catalogue, languages
+from assist.declare import AbsentError, Catalogue, InapplicableError, Refusal, catalogue, languages
 from assist.live import (
     Advice,
     Assistant,
@@ -22,12 +22,16 @@ from assist.live import (
     Elapsed,
     Explanation,
     Prospect,
+    Remark,
     TeamRecord,
     TraceReasons,
     WhyNothing,
     WhyPerson,
+    WhyQuestion,
+    WhyStep,
     contrast,
 )
+from assist.live.causes import CAUSES
 from assist.live.live_task import LiveTask
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
@@ -565,7 +569,59 @@ def explanations() -> list[Explanation]:
         for worth in (0.0, 0.001, 2.0):
             mine = Prospect("ann", "(a)", worth, 0.1, moving)
             for other in (None, 0.0, 0.4, 2.0, 9.0):
-                others = ("date", "page", "task", "study", "question", "form", "tlx", "refusals", "drawing", "report")
+                others = () if other is None else (Prospect("ben", "(b)", other, 0.1, 0.0),)
+                for rule in ("attention", "priority", "reactive"):
+                    for arrived in (True, False):
+                        now = WhyPerson(mine, here, arrived, others, rule)
+                        found += [Explanation(WhyStep("(a)", 0.6, some), now), Explanation(now=now)]
+            for exact in (True, False):
+                for about in (None, "ann"):
+                    for elsewhere in (False, True):
+                        why = WhyNothing("cost", "attention", mine, exact=exact, elsewhere=elsewhere, about=about)
+                        found.append(Explanation(nothing=why, words={"(a)": "Do A"}))
+    hardly = Prospect("ann", "(a)", 1e-9, 0.1, 0.0)
+    found.append(Explanation(nothing=WhyNothing("cost", "attention", hardly, exact=True)))
+    found.append(Explanation(WhyStep("(a)", 1.0, None)))
+    found.append(Explanation(WhyStep("(a)", 0.6, some, "kit-a", 0.8)))
+    now = WhyPerson(Prospect("ann", "(a)", 2.0, 0.1, 0.0), True, True, (), "attention")
+    found.append(Explanation(WhyStep("(a)", 0.5, Contrast("(a)", "(b)", 0.0, "actions", None, 0.5)), now))
+    for seen, followed in ((0.5, True), (-0.5, False)):
+        mine = Prospect("ann", "(a)", 0.2, 0.1, 0.0, seen)
+        sight = Remark("saw_followed" if followed else "saw_declined", "Ben")
+        found.append(Explanation(now=WhyPerson(mine, True, False, (), "attention-outlook", sight)))
+        found.append(found[-1].without_names())
+    found.append(Explanation(WhyStep("(a)", 0.6, some)).in_state(0.8))
+    for reason in (one.key for one in CAUSES):
+        if reason in ("cost", "asked"):
+            continue
+        found += [Explanation(nothing=WhyNothing(reason, "reactive", about=one)) for one in (None, "ann")]
+    for asked in (WhyQuestion("ann", None, 0.5), WhyQuestion("ann", "kit-a", 0.001)):
+        asking = [WhyNothing("asked", "attention", about=one, question=asked) for one in (None, "ann")]
+        found += [Explanation(nothing=one) for one in asking]
+    return found
+
+
+@pytest.mark.parametrize("language", languages())
+def test_every_text_is_used_and_is_a_sentence(language: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    used: set[str] = set()
+
+    class Noted(dict[str, str]):
+        def __getitem__(self, key: str) -> str:
+            used.add(key)
+            return super().__getitem__(key)
+
+    noted = Catalogue(catalogue(language).file, Noted(catalogue(language).texts))
+    monkeypatch.setattr("assist.live.explanation.catalogue", lambda _: noted)
+    step = {"en": "step", "de": "Schritt"}[language]  # which a cost is not called
+    for one in explanations():
+        for sentence in one.sentences(language):
+            assert sentence.endswith("."), sentence
+            assert not sentence[0].islower(), sentence
+            assert not set("{}") & set(sentence), sentence
+            assert "None" not in sentence, sentence
+            assert ".." not in sentence, sentence
+            assert one.against is None or one.against.unit != "cost" or step not in sentence, sentence
+    others = ("date", "page", "task", "study", "question", "form", "tlx", "refusals", "drawing", "report")
     assert used == {key for key in noted.texts if key.partition(".")[0] not in others}
 
 
