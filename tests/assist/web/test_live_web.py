@@ -44,13 +44,16 @@ WRONG = "(place hammer slot-2 box-a)"
 class Web:
     """An application in this process, and its links."""
 
-    def __init__(self, table: Table, folder: Path, *, ping: float = 15.0, check: float = 1.0, **more: Any) -> None:
+    def __init__(
+        self, table: Table, folder: Path, *, ping: float = 15.0, check: float = 1.0, base: str = "http://testserver",
+        **more: Any,
+    ) -> None:  # fmt: skip
         setting = LiveSetting(c_suggest=0.02, c_move=0.01, trust="paper", tick=60.0)
         session = Session({"tiny": table}, folder / "journal.sqlite", setting=setting, population=Population())
         if not session.people:
             session.report_all([Joined(person=name) for name in ("ann", "bob")])
         self.folder = folder
-        self.access = AccessTokens.kept(folder / "secret", "http://testserver")
+        self.access = AccessTokens.kept(folder / "secret", base)
         self.service = Service(session, self.access, ping=ping, check=check)
         self.app = make_app(self.service, **more)
         self.client = TestClient(self.app, raise_server_exceptions=False)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
-import socket
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,23 +11,19 @@ from urllib.parse import urljoin, urlsplit
 
 import pytest
 from conftest import KITTING, invoke, thinned
+from networks import running
 from serving import served
 from starlette.testclient import TestClient
 from starlette.types import ASGIApp, Receive, Scope, Send
 from streams import opened
-from userstudies import PLAN, written
+from test_live_web import Web
+from test_userstudy_pages import Web as Study
+from userstudies import written
 
 from assist.declare.refusals import Refusal
-from assist.live import Joined, Session
-from assist.live.live_setting import LiveSetting
-from assist.studies.userstudy import StudySession, read
-from assist.web.app import make_app
 from assist.web.client import Client
-from assist.web.server import server_of
-from assist.web.service import Service
+from assist.web.server import address, listen
 from assist.web.tokens import VISITOR, AccessTokens, public_address
-from assist.web.user_study.routes import router
-from assist.web.user_study.service import StudyService
 from planner import Table
 
 PUBLIC = "https://host.example/kits/a%20b"
@@ -53,19 +46,12 @@ class Proxy:
         await self.app(scope, receive, send)
 
 
-def team(table: Table, folder: Path, base: str) -> Service:
-    session = Session(
-        {"tiny": table}, folder / "journal.sqlite", setting=LiveSetting(c_suggest=0.02, c_move=0.01, tick=60.0)
-    )
-    session.report_all([Joined(person=name) for name in ("ann", "bob")])
-    return Service(session, AccessTokens.kept(folder / "secret", base))
+def team(table: Table, folder: Path, base: str) -> Web:
+    return Web(table, folder, base=base)
 
 
-def study(table: Table, folder: Path, base: str) -> StudyService:
-    session = StudySession(
-        read(written(folder / "study.toml", PLAN)), {"tiny": table, "practice": table}, folder / "data"
-    )
-    return StudyService(session, AccessTokens.kept(folder / "data" / "secret", base))
+def study(table: Table, folder: Path, base: str) -> Study:
+    return Study(table, folder, base=base)
 
 
 def everything(client: TestClient, page: str, found: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -80,77 +66,63 @@ def everything(client: TestClient, page: str, found: dict[str, Any] | None = Non
     return found
 
 
+def are_under_the_path(client: TestClient, pages: Iterable[str], least: int) -> None:
+    for page in pages:
+        assert page.startswith(f"{PUBLIC}/")
+        loaded = everything(client, page)
+        assert len(loaded) >= least
+        assert {answer.status_code for answer in loaded.values()} == {200}
+        assert all(address.startswith(f"{PUBLIC}/") for address in loaded)
+
+
 @pytest.mark.parametrize("strips", [True, False], ids=["stripped", "kept"])
 def test_all_of_a_session_is_under_the_path(strips: bool, tiny: Table, tmp_path: Path) -> None:
-    service = team(tiny, tmp_path, PUBLIC)
-    access, operator = service.access, {"Authorization": f"Bearer {service.access.operator}"}
-    with TestClient(Proxy(make_app(service), ROOT, strips=strips)) as client:
-        for page in (access.join_url("ann"), access.operator_url()):
-            assert page.startswith(f"{PUBLIC}/")
-            loaded = everything(client, page)
-            assert len(loaded) >= 4
-            assert {answer.status_code for answer in loaded.values()} == {200}
-            assert all(address.startswith(f"{PUBLIC}/") for address in loaded)
+    web = team(tiny, tmp_path, PUBLIC)
+    access, operator = web.access, web.who(None)
+    with TestClient(Proxy(web.app, ROOT, strips=strips)) as client:
+        are_under_the_path(client, (access.join_url("ann"), access.operator_url()), 4)
         page = f"{PUBLIC}/docs"
         loaded = [urljoin(page, "".join(pair)) for pair in LOADED.findall(client.get(page).text)]
         assert {client.get(one).status_code for one in loaded if not one.startswith("data:")} == {200}
         assert "/api/people/{person}/actions" in client.get(f"{PUBLIC}/openapi.json").json()["paths"]
         assert client.get(f"{PUBLIC}/").status_code == 404
-        assert client.get(f"{PUBLIC}/api/health").json()["people"] == 2
         assert client.get(f"{PUBLIC}/api/team").status_code == 401  # without a token
         added = client.post(f"{PUBLIC}/api/team/people", headers=operator, json={"person": "cyd"}).json()
         assert added["join"] == access.join_url("cyd")
         assert client.get(added["join"]).status_code == 200
-        team_seen = client.get(f"{PUBLIC}/api/team", headers=operator).json()
-        assert {person["join"] for person in team_seen["people"]} == {
-            access.join_url(name) for name in ("ann", "bob", "cyd")
-        }
-        path = urlsplit(PUBLIC).path
-        with opened(client, f"{path}/api/people/ann/events", operator) as watching:
+        people = client.get(f"{PUBLIC}/api/team", headers=operator).json()["people"]
+        assert [person["join"] for person in people] == [access.join_url(name) for name in ("ann", "bob", "cyd")]
+        with opened(client, f"{urlsplit(PUBLIC).path}/api/people/ann/events", operator) as watching:
             assert watching.view()["person"] == "ann"
 
 
 @STRIPS
 def test_all_of_a_user_study_is_under_the_path(strips: bool, tiny: Table, tmp_path: Path) -> None:
-    service = study(tiny, tmp_path, PUBLIC)
-    with TestClient(Proxy(make_app(service, more=[router]), ROOT, strips=strips)) as client:
-        visitor = {"Authorization": f"Bearer {service.access.token(VISITOR)}"}
+    web = study(tiny, tmp_path, PUBLIC)
+    service = web.service
+    with TestClient(Proxy(web.app, ROOT, strips=strips)) as client:
+        visitor, operator = ({"Authorization": f"Bearer {token}"} for token in (
+            web.access.token(VISITOR), web.access.operator
+        ))  # fmt: skip
         seat = client.post(f"{PUBLIC}/api/study/seats", headers=visitor, json={"id": "ann"}).json()
-        for page in (service.join_url(), service.operator_url(), f"{PUBLIC}{seat['part']}"):
-            assert page.startswith(f"{PUBLIC}/")
-            loaded = everything(client, page)
-            assert len(loaded) >= 5
-            assert {answer.status_code for answer in loaded.values()} == {200}
-            assert all(address.startswith(f"{PUBLIC}/") for address in loaded)
-        operator = {"Authorization": f"Bearer {service.access.operator}"}
+        pages = (service.join_url(), service.operator_url(), f"{PUBLIC}{seat['part']}")
+        are_under_the_path(client, pages, 5)
         assert client.get(f"{PUBLIC}/api/study", headers=operator).json()["join"] == service.join_url()
         assert client.get(f"{PUBLIC}/api/study/export", headers=operator).status_code == 200
 
 
 @contextmanager
-def running(make: Callable[[str], tuple[Any, ASGIApp]], *, strips: bool) -> Iterator[Any]:
+def under_a_path(make: Any, table: Table, folder: Path, *, strips: bool) -> Iterator[Any]:
     """A service that listens under a path."""
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        service, app = make(f"http://127.0.0.1:{listening.getsockname()[1]}/kits")
-        begun = threading.Event()
-        server = server_of(Proxy(app, "/kits", strips=strips), begun.set)
-        thread = threading.Thread(target=lambda: asyncio.run(server.serve([listening])))
-        thread.start()
-        assert begun.wait(60)
-        try:
-            yield service
-        finally:
-            server.should_exit = True
-            thread.join(60)
+    listening = listen("127.0.0.1", 0)
+    web = make(table, folder, f"{address(listening)}/kits")
+    with running(Proxy(web.app, "/kits", strips=strips), listening):
+        yield web.service
 
 
 @STRIPS
 def test_a_client_takes_links_with_a_path(strips: bool, tiny: Table, tmp_path: Path) -> None:
-    def make(base: str) -> tuple[Service, ASGIApp]:
-        service = team(tiny, tmp_path, base)
-        return service, make_app(service)
-
-    with running(make, strips=strips) as service:
+    with under_a_path(team, tiny, tmp_path, strips=strips) as service:
         operator, ann = Client(service.access.operator_url()), Client(service.access.join_url("ann"))
         assert ann.observe("ann", "(fetch box-a)")["steps"] == 1
         watched = ann.watch()
@@ -250,32 +222,12 @@ def page_at(chromium: Any, link: str, faults: list[str]) -> Any:
     return page
 
 
-@pytest.mark.parametrize(
-    "strips", [pytest.param(strips, marks=[pytest.mark.long, pytest.mark.slow]) for strips in (True, False)]
-)
-def test_pages_work_under_a_path(strips: bool, chromium: Any, tiny: Table, tmp_path: Path) -> None:
-    def live(base: str) -> tuple[Service, ASGIApp]:
-        service = team(tiny, tmp_path, base)
-        return service, make_app(service)
-
-    def conducted(base: str) -> tuple[StudyService, ASGIApp]:
-        service = study(tiny, tmp_path, base)
-        return service, make_app(service, more=[router])
-
+@pytest.mark.long
+@pytest.mark.slow
+def test_pages_of_a_study_work_under_a_path(chromium: Any, tiny: Table, tmp_path: Path) -> None:
+    """Those of a team do so behind nginx."""
     faults: list[str] = []
-    with running(live, strips=strips) as service:
-        worker = page_at(chromium, service.access.join_url("ann"), faults)
-        worker.click("#actions button")
-        worker.wait_for_function("() => document.getElementById('steps').textContent === '1'")
-        worker.wait_for_function("() => document.getElementById('connection').textContent === 'Connected'")
-        operators = page_at(chromium, service.access.operator_url(), faults)
-        operators.wait_for_selector("#people li")
-        operators.fill("#name", "cyd")
-        operators.click("#add button")
-        operators.wait_for_function("() => document.querySelectorAll('#people li').length === 3")
-        for page in (worker, operators):
-            page.close()
-    with running(conducted, strips=strips) as service:
+    with under_a_path(study, tiny, tmp_path, strips=True) as service:
         part = page_at(chromium, service.join_url(), faults)
         part.wait_for_url("**/kits/part/**")
         for _ in range(2):  # consent, instructions; practice has a page of its own

@@ -40,15 +40,15 @@ class Web:
     """A study in this process."""
 
     def __init__(
-        self, table: Table, folder: Path, text: str = PLAN, *, allowance: Allowance | None = None, **options: Any
-    ) -> None:
+        self, table: Table, folder: Path, text: str = PLAN, *, allowance: Allowance | None = None,
+        base: str = "http://testserver", **options: Any,
+    ) -> None:  # fmt: skip
         study = read(written(folder / "study.toml", text))
         session = StudySession(study, {"tiny": table, "practice": table}, folder / "data")
-        self.access = AccessTokens.kept(folder / "data" / "secret", "http://testserver")
+        self.access = AccessTokens.kept(folder / "data" / "secret", base)
         self.service = StudyService(session, self.access, **options)
-        self.client = TestClient(
-            make_app(self.service, allowance=allowance, more=[router]), raise_server_exceptions=False
-        )
+        self.app = make_app(self.service, allowance=allowance, more=[router])
+        self.client = TestClient(self.app, raise_server_exceptions=False)
 
     def ask(self, method: str, path: str, who: str | None = None, **more: Any) -> Any:
         token = self.access.operator if who is None else self.access.token(who)
