@@ -1,17 +1,24 @@
-"""A running service under load, kills and unusual requests."""
+"""A running service under load, kills and unusual requests, and the worked examples of its programs."""
 
 from __future__ import annotations
 
 import asyncio
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import live_load
 import pytest
+from conftest import ROOT
 from serving import TINY, Served, served
 from userstudies import written
+
+from assist.web.client import Client
+
+EXAMPLES = ROOT / "docs" / "examples"
 
 
 @pytest.mark.long
@@ -65,3 +72,31 @@ def test_the_interface_of_a_user_study_is_what_its_description_says(tmp_path: Pa
         # Requests that are answered differently than for a team.
         only = r"^/api/(study.*|team|people/\{person\}(/drawing|/actions)?)$"
         conforms(study, tmp_path, seat["person"], "--include-path-regex", only)
+
+
+def test_a_camera_stops_in_a_dead_end() -> None:
+    view = {"finished": False, "suggestion": None, "applicable": [], "cost_to_go": None}
+    camera = runpy.run_path(str(EXAMPLES / "vision.py"))["camera"]
+    assert list(camera(SimpleNamespace(see=lambda _: view), "ann")) == []
+
+
+@pytest.mark.slow
+def test_a_camera_reports_and_a_robot_asks_where_to_go() -> None:
+    with served(
+        "--humans", 1, "--c-suggest", 0.02, "--set", "travel_time=1", "--c-move", 0.01, "--set", "tick=0.1"
+    ) as service:
+        robot = subprocess.Popen(
+            [sys.executable, EXAMPLES / "robot.py", service.operator], stdout=subprocess.PIPE, text=True
+        )
+        camera = subprocess.run(
+            [sys.executable, EXAMPLES / "vision.py", service.operator, "person-1"],
+            capture_output=True, text=True, timeout=600, check=True,
+        )  # fmt: skip
+        said, _ = robot.communicate(timeout=300)
+        log = Client(service.operator).log()
+    assert robot.returncode == 0
+    seen = camera.stdout.splitlines()
+    assert [f"person-1 {row['action']}" for row in log] == [line.partition(",")[0] for line in seen]
+    assert seen[-1].endswith("remaining cost 0")
+    assert "going to person-1" in said
+    assert any(line.startswith("to person-1: (") for line in said.splitlines())
