@@ -46,7 +46,7 @@ TESTS = {
     "planner/pddl/declarations.py": "test_pddl test_reading test_second_reader test_numbers_refused",
     "planner/pddl/formulas.py": "test_pddl test_reading test_second_reader test_numbers_refused",
     "planner/pddl/reader.py": "test_pddl test_reading test_second_reader test_numbers_refused",
-    "assist/person/truncated_task.py": "test_region test_frontier test_large_goals",
+    "assist/person/truncated_task.py": "test_region test_frontier test_wide",
     "assist/person/frontier_bounds.py": "test_region test_frontier",
     "assist/learning/advice_log.py": "test_advice",
     "assist/learning/comparison.py": "test_trust_fit test_weights",

@@ -14,8 +14,9 @@ independent of the solver of one person's POMDP, so that each checks the other.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache, reduce
-from itertools import product
+from itertools import cycle, product
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -24,6 +25,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from assist.people.decision import Floats
+from assist.people.neighbourhood import Neighbourhood
+from assist.people.neighbours import SeenEvent
 from assist.person import AssistPOMDP
 from assist.team import NOBODY, Pool
 
@@ -69,8 +72,8 @@ class Deed(NamedTuple):
     chance : float array, shape (L, H)
     target : int array, shape (L,)
         The number of the states of all tasks after each outcome.
-    moved : float array, shape (H, H)
-        The probability of each hidden state after each, as theta moves.
+    moved : float array, shape (L, H, H) or (1, H, H)
+        The probability of each hidden state after each, as theta moves; of each outcome, or of all alike.
     """
 
     person: int
@@ -81,34 +84,56 @@ class Deed(NamedTuple):
 
 
 class Act(NamedTuple):
-    """The outcomes of one person's next action: their targets, costs and chances, and how theta moves."""
+    """The outcomes of one person's next action: their targets, costs and chances, and how theta moves.
+
+    With a suggestion, neighbours see how much nearer each outcome comes to the goal, and whether it was followed.
+    """
 
     target: Ints
     cost: Floats
     chance: Floats
     moved: Floats
+    seen: tuple[SeenEvent, ...] = ()
+
+
+def map_of(pomdp: AssistPOMDP, low: Ints, weight: Floats) -> Floats:
+    """Return the probability of each (beta, theta) after each, shape (H, H), where theta moves between two cells."""
+    betas, thetas = pomdp.grid.shape
+    cell = np.eye(thetas)
+    return np.kron(np.eye(betas), (1 - weight)[:, None] * cell[low] + weight[:, None] * cell[low + 1])
 
 
 def act(pomdp: AssistPOMDP, x: int, action: int) -> Act:
     """Return the outcomes of a person in a state under an action of the robot."""
     (betas, thetas), choices, place = pomdp.grid.shape, pomdp.model.choices, int(pomdp.afterstate[x, action])
-    moved = np.eye(thetas)
+    moved = np.eye(betas * thetas)
     if pomdp.moves[x, action]:
-        low, weight = pomdp.low[x, action, 0], pomdp.weight[x, action, 0]
-        moved = (1 - weight)[:, None] * np.eye(thetas)[low] + weight[:, None] * np.eye(thetas)[low + 1]
-    moved = np.kron(np.eye(betas), moved)
+        moved = map_of(pomdp, pomdp.low[x, action, 0], pomdp.weight[x, action, 0])
     if choices.goal[place]:  # finished, or finished by the robot's execution
         return Act(np.array([place]), np.zeros(1), np.ones((1, len(moved))), moved)
     slots = np.flatnonzero(choices.applicable[place])
     chance = pomdp.likelihood(np.full_like(slots, x), np.full_like(slots, action), slots)
     chance = np.broadcast_to(chance, (len(slots), betas, thetas)).reshape(len(slots), -1)
-    return Act(choices.targets[place, slots], choices.costs[place, slots], chance, moved)
+    told, targets, seen = pomdp.suggested[x, action], choices.targets[place, slots], ()
+    if told >= 0:
+        gains = (choices.h[x] - choices.h[targets]).tolist()
+        seen = tuple(SeenEvent(np.array(gain), slot == told, 1.0) for gain, slot in zip(gains, slots, strict=True))
+    return Act(targets, choices.costs[place, slots], chance, moved, seen)
 
 
-def deeds_of(people: list[AssistPOMDP]) -> list[list[Deed]]:
+def deeds_of(people: list[AssistPOMDP], sees: Neighbourhood) -> list[list[Deed]]:
     """Return what the robot may do in each state of all tasks; the last person's index varies fastest."""
     sizes = [len(p.robot_actions) for p in people]
     acts = cache(lambda k, x, action: act(people[k], x, action))
+
+    def moves(each: list[Act], k: int, outcome: tuple[int, ...]) -> Floats:
+        """Return how theta of all moves, where those who go on have seen what person k was told and did."""
+        own = [one.moved for one in each]
+        for j, pomdp in enumerate(people):
+            if j != k and sees.sees[j, k] and not pomdp.model.choices.goal[each[j].target[outcome[j]]]:
+                event = replace(each[k].seen[outcome[k]], weight=sees.sees[j, k])
+                own[j] = own[j] @ map_of(pomdp, *pomdp.grid.shares(sees.rule.update(pomdp.grid.theta, event)))
+        return reduce(np.kron, own)
 
     def at(tasks: tuple[int, ...]) -> Iterator[Deed]:
         helping = [(k, r) for k, x in enumerate(tasks) for r in range(1, people[k].robot_actions[x])]
@@ -116,6 +141,9 @@ def deeds_of(people: list[AssistPOMDP]) -> list[list[Deed]]:
         for k, action in helping if over else [(NOBODY, 0), *helping]:
             each = [acts(j, x, action if j == k else 0) for j, x in enumerate(tasks)]
             chance, moved = (reduce(np.kron, [getattr(one, name) for one in each]) for name in ("chance", "moved"))
+            moved = moved[None]
+            if k != NOBODY and each[k].seen and len(sees.sees):
+                moved = np.array([moves(each, k, one) for one in np.ndindex(*(len(one.target) for one in each))])
             cost = np.sum(np.meshgrid(*[one.cost for one in each], indexing="ij"), axis=0).ravel()
             to = [one.ravel() for one in np.meshgrid(*[one.target for one in each], indexing="ij")]
             charge = 0.0 if k == NOBODY else people[k].robot_costs[tasks[k], action]
@@ -144,10 +172,11 @@ class Search:
         reward, places = np.array([deed.reward for _, deed in some]), np.arange(len(self.way))
         size, data, rows, columns = reward.shape[1], [], [], []
         for number, (_, deed) in enumerate(some):
-            now, then = np.nonzero(deed.moved)
-            data.append((deed.chance[:, now] * deed.moved[now, then]).ravel())
-            rows.append(np.tile(number * size + now, len(deed.target)))
-            columns.append((deed.target[:, None] * size + then).ravel())
+            for chance, target, moved in zip(deed.chance, deed.target, cycle(deed.moved)):
+                now, then = np.nonzero(moved)
+                data.append(chance[now] * moved[now, then])
+                rows.append(number * size + now)
+                columns.append(target * size + then)
         shape = reward.size, len(self.deeds) * size
         after = csr_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
         to = np.array([places if deed.person == NOBODY else np.full_like(places, deed.person) for _, deed in some])
@@ -179,7 +208,7 @@ class Search:
     def outcomes(self, place: tuple[int, int], deed: Deed, belief: Floats) -> tuple[float, list[Any]]:
         """Return the reward of a deed, and each possible outcome's place and unnormalised belief."""
         to = place[1] if deed.person == NOBODY else deed.person
-        after = (belief * deed.chance) @ deed.moved
+        after = ((belief * deed.chance)[:, None] @ deed.moved)[:, 0]
         ends = [((int(y), to), one) for y, one in zip(deed.target, after, strict=True) if one.any()]
         return float(deed.reward @ belief - self.way[place[1], to]), ends
 
@@ -213,9 +242,10 @@ class Search:
         stored, (low, _, deed), high = 0, max(found, key=itemgetter(0)), max(one for _, one, _ in found)
         if low > known + finest:
             to = place[1] if deed.person == NOBODY else deed.person
-            after = (belief * deed.chance) @ deed.moved
+            after = ((belief * deed.chance)[:, None] @ deed.moved)[:, 0]
             best = np.array([self.lower((int(y), to), one)[1] for y, one in zip(deed.target, after, strict=True)])
-            row = deed.reward - self.way[place[1], to] + self.gamma * (deed.chance * (best @ deed.moved.T)).sum(axis=0)
+            ahead = (best[:, None] @ deed.moved.transpose(0, 2, 1))[:, 0]
+            row = deed.reward - self.way[place[1], to] + self.gamma * (deed.chance * ahead).sum(axis=0)
             kept = self.plans[place][(self.plans[place] > row).any(axis=1)]
             self.plans[place], stored = np.vstack([kept, row]), 1
         if high < bound - finest:
@@ -227,6 +257,24 @@ class Search:
         return stored
 
 
+def begun(pool: Pool, team: tuple[int, ...]) -> tuple[Search, tuple[int, int], Floats]:
+    """Return the search of a team in which all people start together, its root, and the belief there."""
+    people, travel = [pool.policies[pool.model[person]].pomdp for person in team], pool.setting.travel(len(team))
+    assert travel.at_once
+    assert all(pomdp.frontier is None for pomdp in people)
+    deeds = deeds_of(people, pool.setting.neighbourhood(len(team)))
+    belief = reduce(np.kron, [pomdp.prior.ravel() for pomdp in people])
+    tasks = np.ravel_multi_index([p.model.choices.initial for p in people], [len(p.robot_actions) for p in people])
+    search = Search(deeds, travel.c_move[0] * travel.distance, people[0].gamma)
+    return search, (int(tasks), len(people)), belief
+
+
+def informed_optimum(pool: Pool) -> float:
+    """Return the optimum of all people of a pool where the robot sees what is hidden, from above to 1e-6."""
+    search, root, belief = begun(pool, tuple(range(len(pool.people))))
+    return float(search.seen[root] @ belief)
+
+
 def joint_bounds(pool: Pool, team: tuple[int, ...] | None = None, *, gap: float = 1e-3) -> JointBounds:
     """Solve the POMDP of a team in which all people start together, until (upper - lower) / |lower| is at most `gap`.
 
@@ -234,13 +282,8 @@ def joint_bounds(pool: Pool, team: tuple[int, ...] | None = None, *, gap: float 
     triangle inequality.
     """
     team = tuple(range(len(pool.people))) if team is None else team
-    people, travel = [pool.policies[pool.model[person]].pomdp for person in team], pool.setting.travel(len(team))
-    assert travel.at_once
-    assert all(pomdp.frontier is None for pomdp in people)
-    search = Search(deeds_of(people), travel.c_move[0] * travel.distance, people[0].gamma)
-    belief = reduce(np.kron, [pomdp.prior.ravel() for pomdp in people])
-    tasks = np.ravel_multi_index([p.model.choices.initial for p in people], [len(p.robot_actions) for p in people])
-    root, finest = (int(tasks), len(people)), FINEST
+    search, root, belief = begun(pool, team)
+    finest = FINEST
     never = search.lower(root, belief)[0]
     while True:
         lower, upper = search.lower(root, belief)[0], search.upper(root, belief)
@@ -250,5 +293,5 @@ def joint_bounds(pool: Pool, team: tuple[int, ...] | None = None, *, gap: float 
             finest /= 2
             if finest < LEAST:  # the rest is rounding error
                 break
-    states, hidden = (len(people) + 1) * len(search.deeds), len(belief)
+    states, hidden = (len(team) + 1) * len(search.deeds), len(belief)
     return JointBounds(lower - MARGIN * abs(lower), upper + MARGIN * abs(upper), never, states, hidden)

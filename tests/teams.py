@@ -10,8 +10,7 @@ import numpy as np
 from assist.person.known_states import KnownStates
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.travel import Travel
-from assist.team import BASE, Episodes, Pool, TeamState
-from assist.team.simulate import simulate
+from assist.team import BASE, Episodes, Pool, TeamState, simulate
 
 
 def state(

@@ -11,18 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from assist.learning.likelihood import Data, alone, by_equation_seven, heard_steps, with_trust
-from assist.people import influence_kernels
-from assist.people.belief import Grid
-from assist.people.choices import Choices
+from assist.people import Choices, Grid, HumanModel, influence_kernels, perceived_cost_to_go
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_cost, perceived_value, trust
-from assist.people.human import HumanModel
-from assist.people.misconception import perceived_cost_to_go
-from assist.person import belief_filter
-from assist.person.alpha_vectors import VectorPolicy
-from assist.person.pomdp import AssistPOMDP
+from assist.person import AssistPOMDP, OfRobots, VectorPolicy, belief_filter, qmdp
 from assist.person.problem_arrays import ProblemArrays, read_only
-from assist.person.qmdp import qmdp
-from assist.person.robots import OfRobots
 from planner import sweep
 
 Floats = NDArray[np.float64]

@@ -13,10 +13,8 @@ from silence import ThreeInARow
 
 from assist.certify import BoundOptions, upper_bound
 from assist.people import Choices, Grid, HumanModel, Population, TrustRule
-from assist.person import AssistPOMDP, AttentionSubproblem, Behaviour, OfRobots, Setting, solve
-from assist.person.qmdp import qmdp
-from assist.team import Pool
-from assist.team.simulate import simulate
+from assist.person import AssistPOMDP, AttentionSubproblem, Behaviour, OfRobots, Setting, qmdp, solve
+from assist.team import Pool, simulate
 
 pytestmark = pytest.mark.slow  # a problem of two people takes seconds; `test_bounds` has other optima
 

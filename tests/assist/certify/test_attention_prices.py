@@ -9,18 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import graph_task, kit
-from test_attention_subproblem import values
 from test_goal_bounds import ring
+from test_policy_iteration import PlainBackup
 
 from assist.certify.priced_steps import window_of
 from assist.certify.prices import SubproblemGroup, groups_of
 from assist.people import Choices, Population
-from assist.person import AttentionSubproblem, Setting
+from assist.person import AttentionSubproblem, Setting, qmdp
 from assist.person.attention_subproblem import with_actions
-from assist.person.qmdp import qmdp
 from assist.person.truncated_bound import likely
-from assist.team.pool import Pool
-from assist.team.simulate import simulate
+from assist.team import Pool, simulate
 from planner import sweep
 
 SETTING = Setting(knowledge="exact", gamma=0.9, c_suggest=0.01, c_move=0.02, eta=0.0, lapse=0.0, robots=2)
@@ -123,17 +121,15 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemGr
     assert visits is group.problem.between.visits
     after, pomdp = [group.problem.between.value], visits.pomdp
     for step in (2, 1, 0):
-        after.insert(0, np.minimum(values(visits.at_price(price[step]), after[0]), group.problem.between.value))
+        backed_up = PlainBackup(visits.at_price(price[step])).backup(after[0])
+        after.insert(0, np.minimum(backed_up, group.problem.between.value))
     x = np.flatnonzero(~pomdp.ends)
     belief = np.broadcast_to(pomdp.prior, (len(x), *pomdp.prior.shape))
     for step in range(6):
         action = policy(step, x).choose(x, belief)
         own = visits.at_price([*price, 0.0, 0.0, 0.0][step])
-        q = np.array([
-            [_q(own, int(y), r, after[min(step + 1, 3)]) if r < pomdp.robot_actions[y] else -np.inf
-             for r in range(pomdp.suggested.shape[1])]
-            for y in x
-        ])  # fmt: skip
+        q = PlainBackup(own).values(after[min(step + 1, 3)])[x]
+        q = np.where(np.isfinite(q[..., 0, 0]), (np.nan_to_num(q) * pomdp.prior).sum(axis=(2, 3)), -np.inf)
         best = q[np.arange(len(x)), action]
         np.testing.assert_allclose(best, q.max(axis=1), atol=1e-9)
         found = policy(step, x).q_values(x, belief)
@@ -141,17 +137,6 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemGr
     number, _ = group.simulated(with_actions(np.array([9.0, 9.0, 0.0])), 8, 50, 0)
     assert number[0, :2].tolist() == [0, 0]
     assert 0 < number[0, 2] <= 1
-
-
-def _q(pomdp: Any, x: int, action: int, then: np.ndarray) -> float:
-    """The Q-value of a robot action at the prior, by value iteration in which the robot has no other."""
-    one = replace(
-        pomdp,
-        robot_actions=np.ones_like(pomdp.robot_actions),
-        **{name: getattr(pomdp, name)[:, [action]] for name in (
-            "suggested", "afterstate", "robot_costs", "unsuggested", "low", "weight")},
-    )  # fmt: skip
-    return float((values(one, then, [x])[x] * pomdp.prior).sum())
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ policy.
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,11 +16,9 @@ from hypothesis import strategies as st
 from assist.certify import BoundOptions, TeamBound, upper_bound
 from assist.certify.relaxed_value import relaxed_value
 from assist.people.choices import Choices
-from assist.person import AttentionSubproblem, Setting, evaluate, solve
-from assist.person.qmdp import qmdp
+from assist.person import AttentionSubproblem, Setting, evaluate, qmdp, solve
 from assist.person.time_expansion import AWAY, HERE
-from assist.team import NOBODY, Pool, TeamAction, TeamState
-from assist.team.simulate import simulate
+from assist.team import NOBODY, Pool, TeamAction, TeamState, simulate
 
 
 @pytest.fixture(scope="module")
@@ -162,16 +159,6 @@ def test_prices_make_the_bound_tighter(pool: Pool, together: TeamBound) -> None:
     assert together.upper < apart - 0.01
 
 
-def test_a_bounds_own_policy_goes_by_its_prices(pool: Pool, together: TeamBound) -> None:
-    policy = together.policy()
-    np.testing.assert_array_equal(policy.price, [*together.price, 0.0])
-    certificate = together.certify(policy, "at its prices", episodes=800)
-    assert certificate.policy == "at its prices"
-    assert 0 < certificate.gap_percent < 2.0
-    without = upper_bound(pool, window=0)
-    assert without.policy().price == pytest.approx([0.15])
-
-
 def test_people_with_one_model_share_one_problem(tiny_choices: Choices) -> None:
     setting = Setting(knowledge="exact", c_suggest=0.1, c_move=0.2)
     pool = Pool.sample(tiny_choices, 40, seed=0, setting=setting)
@@ -199,25 +186,18 @@ def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choic
     assert ahead.mean() > 3 * ahead.std() / np.sqrt(len(ahead))
 
 
-def test_teams_options_that_cannot_be(tmp_path: Path) -> None:
-    folder = tmp_path
-    (folder / "far.json").write_text("[[0, 1], [1, 0]]")
-    (folder / "no.json").write_text('{"a": 1}')
-    (folder / "null.json").write_text("null")
-    (folder / "text.json").write_text(json.dumps([[0, "1", 1, 1], [1, 0, 1, 1], [1, 1, 0, 1], [1, 1, 1, 0]]))
-    tiny = str(KITTING / "tiny.pddl")
-    for options, complaint in (
-        (["--set", f"distances={folder / 'far.json'}"], "distance, shape (2, 2): expected (4, 4)"),
-        (["--set", f"distances={folder / 'no.json'}"], "expected a list of lists of numbers"),
-        (["--set", f"distances={folder / 'null.json'}"], "expected a list of lists of numbers"),
-        (["--set", f"distances={folder / 'text.json'}"], "[1][2] '1': expected a number"),
-        (["--set", "travel_time=-1"], "--set travel_time: -1; expected a number from 0"),
-        (["--set", "gamma=1"], "--set gamma: 1; expected a number above 0 and below 1"),
-    ):
-        result = invoke("bound", tiny, "--humans", "3", *options)
-        assert result.exit_code == 2
-        assert complaint in result.stderr
-        assert result.stdout == ""
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("[[0, 1], [1, 0]]", "distance, shape (2, 2): expected (4, 4)"),
+        ("null", "expected a list of lists of numbers"),
+        ('[[0, "1"]]', "[1][2] '1': expected a number"),
+    ],
+)
+def test_distances_that_cannot_be(tmp_path: Path, content: str, complaint: str) -> None:
+    (file := tmp_path / "far.json").write_text(content)
+    result = invoke("bound", KITTING / "tiny.pddl", "--humans", "3", "--set", f"distances={file}")
+    assert (result.exit_code, result.stdout, complaint in result.stderr) == (2, "", True), result.stderr
 
 
 def test_the_own_policy_names_a_way_that_it_was_not_made_for(pool: Pool) -> None:

@@ -35,7 +35,7 @@ from assist.people import Choices, HumanModel, Population
 from assist.person import AssistPOMDP, AttentionSubproblem, OfRobots, Robot, Setting, solve
 from assist.person.attention_subproblem import with_actions
 from assist.person.memory_needed import policy_bytes
-from assist.person.time_expansion import AWAY, HERE, TimeExpansion
+from assist.person.time_expansion import TimeExpansion
 from assist.team import NoAssistance, Pool, TeamAction, TeamState
 from planner import LimitError, sweep
 
@@ -116,15 +116,6 @@ def test_what_robots_that_differ_could_still_cost(
         team = Pool.sample(choices, 2, seed=1, setting=setting)
         found.append(returns(team, NoAssistance(), (0, 1), setting.travel(2), episodes=50, seed=0))
     np.testing.assert_allclose(found[0] - found[1], 2 * more * 0.25 / 0.5)
-
-
-def test_who_comes_from_far_away_pays_for_it(pool: Pool) -> None:
-    near, far = (
-        returns(pool, "reactive", (0, 1), SETTING.travel(2, distance), episodes=200, seed=0)
-        for distance in (None, 5 * (1 - np.eye(3)))
-    )
-    assert (far < near).any()
-    assert (far <= near + 1e-5).all()  # the bound on costs after an episode's end is larger
 
 
 def test_an_episode_that_is_cut_off_counts_at_most_what_the_whole_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,19 +256,6 @@ def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Ch
     assert len(groups_of(pool, (0, 1), travel, 3, memory_limit_mb=100.0)) == 2
     with pytest.raises(LimitError, match=r"^2 problems of people"):
         upper_bound(pool, window=3, memory_limit_mb=0.01)
-
-
-def test_states_are_numbered_by_step_position_and_state() -> None:
-    """At step 0 only state 1 is reachable, later all three are; states that are not reachable have -1."""
-    layout = TimeExpansion(3, 2, (np.array([1]), np.arange(3)))
-    everywhere = np.arange(3)
-    assert len(layout) == 8
-    assert layout.number(0, AWAY, everywhere).tolist() == [-1, 0, -1]
-    assert layout.number(0, HERE, everywhere).tolist() == [-1, 1, -1]
-    assert layout.number(1, AWAY, everywhere).tolist() == [2, 3, 4]
-    assert layout.number([1, 9], HERE, [2, 0]).tolist() == [7, 5]
-    assert (layout.step.tolist(), layout.position.tolist()) == ([0, 0, *[1] * 6], [0, 1, 0, 0, 0, 1, 1, 1])
-    assert layout.x.tolist() == [1, 1, 0, 1, 2, 0, 1, 2]
 
 
 edges = st.tuples(st.integers(1, 5), st.integers(0, 5), st.sampled_from([0, 1, 1, 2]))
@@ -484,16 +462,6 @@ def test_a_bound_on_a_truncated_task_holds_for_the_whole_and_has_the_rounds_that
     assert other.proven >= one.upper - one.slack
     assert other.sampled is not None
     assert [what for what in told if what[0] == "optimising prices"] == [("optimising prices", n, 2) for n in (0, 1)]
-
-
-def test_one_person_has_no_conflicts_to_sample(pool: Pool) -> None:
-    found = upper_bound(pool, (1,), window=0, gap=1e-3, paths=4)
-    assert (found.sampled, found.upper) == (None, found.proven)
-
-
-def test_sample_paths_need_a_known_goal() -> None:
-    with pytest.raises(ValueError, match="the bound from sample paths: expected people whose goal is known"):
-        upper_bound(Pool.sample(ring(), 2, seed=1, setting=SETTING), paths=4)
 
 
 def test_policies_are_certified_by_their_names(pool: Pool) -> None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from itertools import product
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke, kit, thinned
+from conftest import kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq, linprog
@@ -34,8 +34,7 @@ from assist.certify.information_relaxation.sampled_bound import InformationRelax
 from assist.certify.prices import groups_of
 from assist.person import Setting, solve
 from assist.person.attention_subproblem import with_actions
-from assist.team.pool import Pool
-from assist.team.simulate import simulate
+from assist.team import Pool, simulate
 
 PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
 USUAL = RelaxationOptions()
@@ -63,29 +62,6 @@ def robot() -> InformationRelaxation:
 @pytest.fixture(scope="module")
 def without_prices() -> InformationRelaxation:
     return made(np.zeros(0))
-
-
-@pytest.fixture(scope="module", params=[(12, 12), (2, 2), (12, 2)])
-def short_sighted(request: pytest.FixtureRequest) -> InformationRelaxation:
-    """Few enough steps to enumerate all decisions; conflicts count in all steps, in the first two, or two steps
-    ahead.
-    """
-    counted, ahead = request.param
-    return made(PRICE[1:4], options=RelaxationOptions(free_steps=1, congestion_steps=counted, steps_ahead=ahead))
-
-
-@pytest.fixture(scope="module")
-def two_robots() -> InformationRelaxation:
-    """Two robots, three people, and few enough steps to enumerate all decisions."""
-    return made(PRICE[1:4], options=RelaxationOptions(free_steps=1), robots=2)
-
-
-@pytest.fixture(scope="module", params=[1, 2])
-def truncated(request: pytest.FixtureRequest) -> InformationRelaxation:
-    """People whose tasks are truncated after one state, with prices, and few steps, so that decisions can be listed."""
-    setting = Setting(gamma=0.95, c_suggest=0.05, c_move=0.1)
-    pool = Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=3, region=1)
-    return made(PRICE[1:4], pool=pool, options=RelaxationOptions(free_steps=1), robots=request.param)
 
 
 def drawn(robot: InformationRelaxation, seeds: Iterable[int]) -> list[SamplePath]:
@@ -294,27 +270,33 @@ def least(
     return best
 
 
-@pytest.mark.parametrize("alpha", [0.0, 0.75])
-def test_the_search_finds_the_least(
-    alpha: float, short_sighted: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
-) -> None:  # fmt: skip
-    """The search equals enumeration; if it stops early, its bound is not lower."""
-    check_the_search(short_sighted, alpha, monkeypatch)
+@cache
+def of_few_steps(name: str) -> InformationRelaxation:
+    """Return a relaxation with few enough steps to enumerate all decisions."""
+    if not name.startswith("truncated"):
+        counted, ahead, robots = OF_FEW_STEPS[name]
+        options = RelaxationOptions(free_steps=1, congestion_steps=counted, steps_ahead=ahead)
+        return made(PRICE[1:4], options=options, robots=robots)
+    setting = Setting(gamma=0.95, c_suggest=0.05, c_move=0.1)
+    pool = Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=3, region=1)
+    return made(PRICE[1:4], pool=pool, options=RelaxationOptions(free_steps=1), robots=1 + name.endswith("2"))
 
 
-@pytest.mark.parametrize("alpha", thinned([0.75, 0.0]))
-def test_the_search_for_two_robots_finds_the_least(
-    alpha: float, two_robots: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
-) -> None:  # fmt: skip
-    check_the_search(two_robots, alpha, monkeypatch, paths=3)
+OF_FEW_STEPS = {"all": (12, 12, 1), "first two": (2, 2, 1), "two ahead": (12, 2, 1), "two robots": (12, 12, 2)}
+"""In how many steps conflicts count, how many steps ahead, and the number of robots."""
 
 
-def check_the_search(
-    robot: InformationRelaxation, alpha: float, monkeypatch: pytest.MonkeyPatch, paths: int = 6
-) -> None:  # fmt: skip
-    found, given_up = [], 0
-    for seed in range(paths):
+@pytest.mark.parametrize("alpha", [0.75, pytest.param(0.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [*OF_FEW_STEPS, "truncated, 1", "truncated, 2"])
+def test_the_search_finds_the_least(name: str, alpha: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search equals enumeration; if it stops early, its bound is not lower.
+
+    As many robots as people have left truncated tasks are not refunded the prices of steps without a person.
+    """
+    robot, found, given_up, left = of_few_steps(name), [], 0, 0
+    for seed in range(3 if name == "two robots" else 6):
         (path,) = drawn(robot, [seed])
+        left += any((graph.to == LEFT).any() for graph in path.graphs)
         whole = least(robot, path, alpha, (0,) * len(robot.people), 0, {})
         bound = robot.bound(path, alpha)
         assert bound == pytest.approx(robot.value - alpha * robot.lost - whole, abs=1e-9)
@@ -325,21 +307,10 @@ def check_the_search(
         given_up += early > bound + 1e-3
         found.append(whole)
     assert np.ptp(found) > 0.01
-    assert given_up
-
-
-@pytest.mark.parametrize("alpha", [0.0, 0.75])
-def test_the_search_finds_the_least_where_people_leave_truncated_tasks(
-    alpha: float, truncated: InformationRelaxation
-) -> None:
-    """As many robots as people have left are not refunded the prices of steps without a person."""
-    left = 0
-    for path in drawn(truncated, range(6)):
-        whole = least(truncated, path, alpha, (0,) * len(truncated.people), 0, {})
-        expected = truncated.value - alpha * truncated.lost - whole
-        assert truncated.bound(path, alpha) == pytest.approx(expected, abs=1e-9)
-        left += any((graph.to == LEFT).any() for graph in path.graphs)
-    assert left > 2
+    if name.startswith("truncated"):
+        assert left > 2
+    else:
+        assert given_up
 
 
 @pytest.mark.slow
@@ -361,47 +332,28 @@ def test_sampled_bounds_of_truncated_tasks_are_not_below_what_priority_gets(cost
     assert bound.sampled.mean + 4 * bound.sampled.stderr >= value - 4 * error
 
 
-def test_prices_are_paid_in_steps_whose_conflicts_do_not_count(short_sighted: InformationRelaxation) -> None:
+def test_prices_are_paid_in_steps_whose_conflicts_do_not_count() -> None:
     """Each person's bound is at these prices, so the team's bound is their sum plus the sum of the prices."""
-    lattices = [person.belief_nodes for person in short_sighted.people]
+    robot = of_few_steps("first two")
+    lattices = [person.belief_nodes for person in robot.people]
     gamma = lattices[0].relaxed.m.gamma
     paid = sum(gamma**step * price for step, price in enumerate((0.3, 0.35, 0.3)))
-    assert short_sighted.value == pytest.approx(paid + sum(lattice.value for lattice in lattices), abs=1e-12)
+    assert robot.value == pytest.approx(paid + sum(lattice.value for lattice in lattices), abs=1e-12)
 
 
-@pytest.mark.slow
-def test_sample_paths_on_the_command_line() -> None:
-    result = invoke(
-        "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
-        "--value-episodes", "500", "--policy", "priority", "--samples", "30", "--time-limit", "3600", "--json",
-    )  # fmt: skip
-    assert result.exit_code == 0, result.stderr
-    document = json.loads(result.stdout)
-    sampled, errors = document["sampled"], 2.462  # Student's t of 29 degrees of freedom, from a table
-    assert (sampled["paths"], document["confidence"]) == (30, 0.95)
-    assert document["upper"] >= sampled["mean"] + errors * sampled["stderr"] - 1e-3
-    assert document["upper"] < document["upper_proven"]
-
-
-def test_few_paths_say_less() -> None:
-    """Numbers of standard errors above the mean, from a table of Student's t; two paths give a very wide interval."""
-    for paths, errors in ((2, 31.821), (3, 6.965), (11, 2.764), (100_000, 2.326)):
-        assert SampledBound(-9.0, 0.5, paths, 0.3).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
-        assert SampledBound(-9.0, 0.5, paths, 0.3, skewness=-2.0).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
-
-
-@pytest.mark.parametrize(("skewness", "paths"), [(0.3, 30), (1.0, 40), (2.0, 100), (6.0, 30)])
+@pytest.mark.parametrize(("skewness", "paths"), [(0.0, 2), (-2.0, 11), (0.3, 30), (1.0, 40), (2.0, 100), (6.0, 30)])
 def test_a_skewed_mean_has_the_bound_at_which_halls_cubic_is_students_t(skewness: float, paths: int) -> None:
-    from_table = {30: 2.4620, 40: 2.4258, 100: 2.3646}[paths]
+    """Numbers of standard errors above the mean, from a table of Student's t; two paths give a very wide interval."""
+    from_table = {2: 31.821, 11: 2.764, 30: 2.4620, 40: 2.4258, 100: 2.3646}[paths]
 
     def cubic(w: float) -> float:
         g = skewness
         return w + g * w**2 / 3 + g**2 * w**3 / 27 + g / (6 * paths) + from_table / math.sqrt(paths)
 
-    above = -brentq(cubic, -50, 1) * math.sqrt(paths)
+    above = -brentq(cubic, -50, 1) * math.sqrt(paths) if skewness > 0 else from_table
     sampled = SampledBound(-9.0, 0.5, paths, 0.3, skewness)
     assert sampled.upper == pytest.approx(-9.0 + 0.5 * above, abs=1e-3)
-    assert above > from_table
+    assert above > from_table or skewness <= 0
 
 
 def test_the_correction_for_skewness_misses_less_often_than_students_t() -> None:

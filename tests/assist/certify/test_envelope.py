@@ -9,21 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import thinned
+from joint import informed_optimum
 from solved import by_hand
 
 from assist.certify import upper_bound
 from assist.certify.comparison import Comparison
 from assist.certify.envelope import Envelope
-from assist.people.choices import Choices
-from assist.people.goals import Goals
+from assist.people import Choices, Goals, Population, Reliability
 from assist.people.neighbours import Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
-from assist.people.ranges import Population
-from assist.people.trust_rules import Reliability
-from assist.person import truncated_bound
-from assist.person.settings import Setting
+from assist.person import Setting, truncated_bound
 from assist.team.pool import Pool
-from planner import OnDemand, sweep_goals
-from planner.costtogo.table import Table
+from planner import OnDemand, Table, sweep_goals
 
 # A way back at each step; and a longer one.
 TASKS = {
@@ -40,77 +36,6 @@ def pool_of(task: Choices | Table | OnDemand | Goals, rule: SeenRule, **fields: 
     given = {"c_suggest": 0.2, "c_move": 0.1, "gamma": 0.9, "knowledge": "exact"} | fields
     setting = Setting(neighbours=Neighbours(rule=rule, matrix=((0, 0.9), (0.6, 0))), **given)  # type: ignore[arg-type]
     return Pool.sample(task, 2, seed=1, setting=setting, population=PEOPLE)
-
-
-def informed_optimum(pool: Pool) -> float:
-    """The optimum of two people whose theta the robot sees, by value iteration over both together."""
-    pomdp, seen = pool.policies[0].pomdp, pool.setting.neighbourhood(2)
-    assert seen is not None
-    assert len(pomdp.hidden) == 1
-    choices, theta, costs = pomdp.model.choices, pomdp.grid.theta, pomdp.model.choices.costs
-    n, size, move = len(choices), len(theta), pool.setting.c_move
-
-    def map_of(low: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        found = np.zeros((size, size))
-        np.add.at(found, (np.arange(size), low), 1 - weight)
-        np.add.at(found, (np.arange(size), low + 1), weight)
-        return found
-
-    def acts(x: int, robot: int) -> list[tuple[int, np.ndarray, np.ndarray, float, bool]]:
-        """Successor, probability by theta, map of theta, cost, and whether it follows, of each choice."""
-        if choices.goal[x]:
-            return [(x, np.ones(size), np.eye(size), 0.0, False)]
-        found, suggested = [], pomdp.suggested[x, robot]
-        own = np.eye(size) if suggested < 0 else map_of(pomdp.low[x, robot, 0], pomdp.weight[x, robot, 0])
-        for slot in range(int(choices.applicable[x].sum())):
-            p = pomdp.likelihood(np.array([x]), np.array([robot]), np.array([slot]))[0, 0]
-            found.append((int(choices.targets[x, slot]), p, own, float(costs[x, slot]), bool(slot == suggested)))
-        return found
-
-    def sees(i: int, x: int, y: int, followed: bool) -> np.ndarray:
-        gain = choices.h[x] - choices.h[y]
-        event = SeenEvent(np.array(gain), np.array(followed), seen.sees[i, 1 - i])
-        return map_of(*pomdp.grid.shares(seen.rule.update(theta, event)))
-
-    def outcomes(x: int, z: int, at: int) -> list[tuple[float, list[tuple[Any, ...]]]]:
-        """For each robot action, what it costs, and what may follow: chance, costs, maps of theta, and a place."""
-        sends = [(0, 0, 0.0)] + [
-            (k, r, move * (at != k + 1) + pool.setting.c_suggest)
-            for k, here in enumerate((x, z)) if not choices.goal[here]
-            for r in range(1, int(pomdp.robot_actions[here]))
-        ]  # fmt: skip
-        found = []
-        for k, r, paid in sends:
-            then, follow = (at if r == 0 else k + 1), []
-            for y1, p1, m1, c1, f1 in acts(x, r if k == 0 else 0):
-                for y2, p2, m2, c2, f2 in acts(z, r if k == 1 else 0):
-                    one, two = m1, m2
-                    if r and k == 1 and not choices.goal[y1]:
-                        one = m1 @ sees(0, z, y2, f2)
-                    if r and k == 0 and not choices.goal[y2]:
-                        two = m2 @ sees(1, x, y1, f1)
-                    follow.append((np.multiply.outer(p1, p2), c1 + c2, one, two.T, (y1, y2, then)))
-            found.append((paid, follow))
-        return found
-
-    value = np.zeros((n, n, 3, size, size))
-    after = {place: outcomes(*place) for place in np.ndindex(n, n, 3)}
-    for _ in range(2000):
-        new = np.empty_like(value)
-        for place, actions in after.items():
-            new[place] = np.max(
-                [
-                    sum(p * (pool.setting.gamma * one @ value[then] @ two - cost) for p, cost, one, two, then in follow)
-                    - paid
-                    for paid, follow in actions
-                ],
-                axis=0,
-            )
-        change, value = np.abs(new - value).max(), new
-        if change < 1e-7:
-            break
-    prior, start = pomdp.prior[0], choices.initial
-    return float(prior @ value[start, start, 0] @ prior)
 
 
 @pytest.mark.parametrize("task", thinned(TASKS))

@@ -202,27 +202,6 @@ def test_bounds_at_further_beliefs_count_people_who_have_not_finished() -> None:
     assert (solution.value(states, beliefs) <= solution.upper_bound(states, beliefs) + 1e-9).all()
 
 
-def test_values_of_the_solution_are_those_of_a_plain_look_ahead() -> None:
-    """People who have reached their goal cost no more than a suggestion."""
-    found, rng = solved(suggestions="all"), np.random.default_rng(3)
-    pomdp, choices = found.pomdp, found.pomdp.model.choices
-    belief = rng.dirichlet(np.full(pomdp.prior.size, 0.3), 5).reshape(-1, *pomdp.prior.shape)
-    q = found.q_values(np.arange(5), belief)
-    for x, own in enumerate(belief):
-        reached = choices.goals.goal[:, x].repeat(len(pomdp.grid.beta))
-        going = np.where(reached[:, None], 0.0, own)
-        for action in range(pomdp.robot_actions[x]):
-            value = -pomdp.robot_costs[x, action]
-            for slot in np.flatnonzero(choices.applicable[x]):
-                at = np.array([x]), np.array([action]), np.array([slot])
-                chance = (going * pomdp.likelihood(*at)[0]).sum()
-                y = choices.targets[x : x + 1, slot]
-                after = chance * pomdp.update(going[None] / going.sum(), *at)
-                value += pomdp.gamma * found.value(y, after)[0] - choices.costs[x, slot] * chance
-            assert q[x, action] == pytest.approx(value, abs=1e-9)
-    assert (found.value(np.arange(5), belief) <= found.upper_bound(np.arange(5), belief) + 1e-12).all()
-
-
 def test_with_certainty_the_solution_is_that_of_the_goal() -> None:
     goals = ring((0.0, 1.0, 0.0))
     ((_, known),) = given_goals(problem(goals))

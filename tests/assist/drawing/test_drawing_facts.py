@@ -230,16 +230,6 @@ def test_no_two_states_look_alike(drawn: tuple[Artist, tuple[str, ...]]) -> None
     assert len(looks) == len(set(states.tolist()))
 
 
-def test_facts_of_a_foreign_domain_are_missed_if_they_are_taken_away(packing: Path) -> None:
-    artist, plan = artist_of(packing, GUESSED)
-    values = artist.subject.follow(plan)[-1]
-    for fact in (("sealed",), ("load", "kg2"), ("free", "left")):
-        lacking = Lacking(
-            **{each.name: getattr(artist.subject, each.name) for each in fields(Subject)}, missing=fact
-        )  # fmt: skip
-        assert changed(*together(artist, lacking, values), set(fact[1:]) or {TASK})
-
-
 def test_facts_and_goals_without_arguments_are_in_every_picture(packing: Path) -> None:
     artist, plan = artist_of(packing, GUESSED)
     rows = plan_frames(artist, plan)

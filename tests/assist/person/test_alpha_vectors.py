@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from conftest import DOMAINS, table_of
 from test_qmdp import GRID, make
+from test_unknown_goals import three_goals
 
 from assist.people import Choices, Grid, HumanModel
-from assist.person import AssistPOMDP, OfRobots, VectorPolicy, evaluate
+from assist.person import AssistPOMDP, OfRobots, VectorPolicy, evaluate, qmdp
 from assist.person.belief_filter import Parts, child
 from assist.person.problem_arrays import ProblemArrays
-from assist.person.qmdp import qmdp
 from planner import Instance
 
 
@@ -37,11 +37,13 @@ def look_ahead(policy: VectorPolicy, x: int, r: int, belief: np.ndarray) -> floa
     place, value = pomdp.afterstate[x, r], -pomdp.robot_costs[x, r]
     if choices.goal[place]:
         return value
+    stays = ~choices.goals.goal[pomdp.hidden.goal_of, x]  # who has reached their goal costs no more
+    total, going = belief.sum(), belief * stays[:, None]
     for a in np.flatnonzero(choices.applicable[place]):
         at = np.array([x]), np.array([r]), np.array([a])
-        chance = float((pomdp.likelihood(*at)[0] * belief).sum())
+        chance = float((pomdp.likelihood(*at)[0] * going).sum()) / total
         if chance > 0:
-            after = pomdp.update(belief[None], *at)[0]
+            after = pomdp.update(going[None] / going.sum(), *at)[0]
             value += chance * (-choices.costs[place, a] + pomdp.gamma * worth(policy, choices.targets[place, a], after))
     return value
 
@@ -58,6 +60,7 @@ def problems(tiny_choices: Choices) -> dict[str, AssistPOMDP]:
         "all": make(tiny_choices, suggestions="all"),
         "execute": make(tiny_choices, robot=OfRobots(c_suggest=0.3, execute=True, c_execute=0.7)),
         "lockers": AssistPOMDP.of(HumanModel.exact(lockers()), grid=GRID),
+        "goals": AssistPOMDP.of(HumanModel.exact(three_goals("tiny").choices()), grid=GRID, suggestions="all"),
         # With theta 1 a person always follows; with beta 1000, always takes the best action.
         "no lapses": AssistPOMDP.of(
             HumanModel.exact(tiny_choices, lapse=0.0), suggestions="all",
@@ -66,7 +69,7 @@ def problems(tiny_choices: Choices) -> dict[str, AssistPOMDP]:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["optimal", "all", "execute", "lockers", "no lapses"])
+@pytest.mark.parametrize("name", ["optimal", "all", "execute", "lockers", "goals", "no lapses"])
 def test_action_values_equal_those_of_a_plain_look_ahead(tiny_choices: Choices, name: str) -> None:
     pomdp = problems(tiny_choices)[name]
     policy = random_vectors(pomdp)

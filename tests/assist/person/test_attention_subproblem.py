@@ -11,12 +11,12 @@ from conftest import costly, graph_task
 from hypothesis import given
 from hypothesis import strategies as st
 from test_goal_bounds import ring
+from test_policy_iteration import PlainBackup
 
 from assist.people import NOTHING, Choices, Grid, HumanModel, outcome
-from assist.person import QMDP, AssistPOMDP, AttentionSubproblem, LeafBounds, OfRobots, attention_subproblem
+from assist.person import QMDP, AssistPOMDP, AttentionSubproblem, LeafBounds, OfRobots, attention_subproblem, qmdp
 from assist.person.attention_subproblem import backwards
 from assist.person.pomdp import Behaviour
-from assist.person.qmdp import qmdp
 from assist.person.time_expansion import AWAY, HERE
 from planner import LimitError, sweep
 
@@ -210,28 +210,6 @@ def test_whole_numbers_are_prices_too(monkeypatch: pytest.MonkeyPatch) -> None:
         AttentionSubproblem.of(alone, 0.4, 200_000)
 
 
-def values(pomdp: AssistPOMDP, then: np.ndarray, states: list[int] | None = None) -> np.ndarray:
-    """One sweep of value iteration with observed beta and theta, by the equations of `AssistPOMDP`.
-
-    It is over all states, or some. The values of states in which the problem ends do not change.
-    """
-    choices, grid, found = pomdp.model.choices, pomdp.grid, then.copy()
-    for x in np.flatnonzero(~pomdp.ends) if states is None else states:
-        returns = []
-        for action in range(pomdp.robot_actions[x]):
-            worth = np.full(grid.shape, -pomdp.robot_costs[x, action])
-            acting = pomdp.afterstate[x, action]
-            for slot in np.flatnonzero(choices.applicable[acting]):
-                at = tuple(np.array([each]) for each in (x, action, slot))
-                after = then[choices.targets[acting, slot]]
-                low, up = pomdp.low[x, action, 0], pomdp.weight[x, action, 0]
-                after = (1 - up) * after[:, low] + up * after[:, low + 1]
-                worth += pomdp.likelihood(*at)[0] * (pomdp.gamma * after - choices.costs[acting, slot])
-            returns.append(worth)
-        found[x] = np.max(returns, axis=0)
-    return found
-
-
 def test_values_with_prices_go_backwards_from_those_without(monkeypatch: pytest.MonkeyPatch) -> None:
     chain = [(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 1), (1, 2, 1)]
     alone = AssistPOMDP.of(HumanModel.exact(Choices.of(sweep(graph_task(chain, start=3)))), grid=GRID, gamma=0.6)
@@ -241,9 +219,9 @@ def test_values_with_prices_go_backwards_from_those_without(monkeypatch: pytest.
     tail = qmdp(free.pomdp, tolerance=1e-12).value_mdp
     visits = AttentionSubproblem.of(alone, 0.3, 1, [0.5, 0.0, 1.0])
     found: QMDP = backwards(visits, tail)
-    exact = np.zeros_like(found.value_mdp)
+    plain, exact = PlainBackup(visits.pomdp), np.zeros_like(found.value_mdp)
     for _ in range(60):
-        exact = values(visits.pomdp, exact)
+        exact = plain.backup(exact)
     np.testing.assert_allclose(found.value_mdp, exact, atol=1e-5)
     assert (found.value_mdp >= exact - 1e-9).all()
     begun: dict[str, Any] = {}

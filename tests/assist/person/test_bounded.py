@@ -5,28 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import kit, thinned
+from conftest import kit
 from crosscheck import MODELS
 from graphs import graph_task
 from test_robots import Waits
 
-from assist.people.choices import Choices
-from assist.people.decision import perceived_cost, perceived_value
+from assist.people import Choices, Human, Population, perceived_cost, perceived_value
 from assist.people.hidden_type import HiddenType
-from assist.people.human import Human
-from assist.people.ranges import Population
-from assist.person import AssistPOMDP, qmdp, solve, truncated_bound, truncated_task
-from assist.person.assumptions import Assumptions
+from assist.person import AssistPOMDP, Assumptions, Setting, qmdp, solve, truncated_bound, truncated_task
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.each_goal import BoundLimits
 from assist.person.frontier_bounds import never_erring
 from assist.person.observation_model import ObservationModel
-from assist.person.settings import Setting
 from assist.person.time_expansion import AWAY, HERE
 from assist.person.truncated_bound import BoundSizes, bounded, likely
 from assist.team import Pool
@@ -83,81 +78,91 @@ def test_nobody_gets_more(task: str, size: int, setting: Setting, human: Human |
         assert (frontier.away <= frontier.upper + 1e-9).all()
 
 
-@pytest.mark.parametrize("c_execute", thinned([0.8, 0.0]))
-@pytest.mark.parametrize(
-    ("task", "suggestions"),
-    [("tiny", "all"), ("sealed", "optimal"), pytest.param("costs/ways", "optimal", marks=pytest.mark.slow)],
-)
-def test_nobody_gets_more_where_robots_execute(
-    task: str, suggestions: Any, c_execute: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    setting = Setting(c_suggest=0.2, execute=True, c_execute=c_execute, suggestions=suggestions, gamma=0.95)
-    assumed, table, gaps = Assumptions.of(setting, somebody(), PRIOR), kit(task), []
+class Clearheaded(HiddenType):
+    """Types with a part of one's own: half of the people choose with 30 times their expertise."""
 
-    def value(problem: AssistPOMDP, steps: int) -> np.ndarray:
-        visits = AttentionSubproblem.of(problem, ENTRY, steps)
-        return qmdp(visits.pomdp, tolerance=1e-9).value_mdp[visits.pomdp.model.choices.initial]
+    factor = np.array([1.0, 30.0])
 
-    for steps in (0, 2):
-        exact = value(assumed.problem(Choices.of(table)), steps)
-        for seen, size in ((0, 3), (0, 12), (30, 12), (0, 10_000)):
-            sizes = replace(truncated_bound.SIZES, seen=seen, tolerance=1e-6, sweeps=10_000)
-            monkeypatch.setattr(truncated_bound, "SIZES", sizes)
-            gap = value(bounded(table, assumed, entry=ENTRY, size=size).problem, steps) - exact
-            assert gap.min() > -1e-8
-            gaps.append(gap.max())
-        assert gaps[-1] < 1e-8
-        assert gaps[-4] > gaps[-3] >= gaps[-2] - 1e-9
+    @cached_property
+    def parts(self) -> Mapping[str, int]:
+        return {**super().parts, "clear": 2}
+
+    @cached_property
+    def expertise(self) -> np.ndarray:
+        return super().expertise * self.factor[self.part("clear")]
+
+    def prior(self, person: np.ndarray) -> np.ndarray:
+        return super().prior(0.5 * person[:, None].repeat(2, axis=1).reshape(-1, person.shape[1]))
 
 
 FORKS = [(0, a, a // 10 + 1) for a in (10, 20)] + [(12, 8, 1), (22, 8, 1), (8, 9, 60)]
 FORKS += [(s, t, 1) for a in (10, 20) for s, t in ((a, a + 1), (a + 1, a + 2), (a + 2, 9))]
+MIXED = partial(Population, beta=(0.3, 2.0), theta=(0.6, 0.9), sigma=(1.0, 1.0))
+EXECUTES = {"c_suggest": 0.2, "execute": True, "gamma": 0.95}
+SEEN = {"knowledge": "exact", "c_suggest": 0.3, "gamma": 0.9}
+
+
+def waiting(c_wait: float) -> tuple[Any, ...]:
+    """People leave the part while the robot is on its way: then it has paid for coming, and does not wait."""
+    setting: dict[str, Any] = {
+        "robots": (Waits(c_wait=c_wait),),
+        "c_suggest": 5.0,
+        "gamma": 0.95,
+        "trust": "constant",
+        "knowledge": "exact",
+    }
+    return FORKS, setting, Population(beta=(0.0, 0.0), theta=(1.0, 1.0)), 8.0, (0, 3), {}
+
+
+AT_LEAST: dict[str, tuple[Any, ...]] = {
+    # The task, the setting, the people, what coming costs, how many steps it takes, and sizes of the bound.
+    "execute, all": ("tiny", EXECUTES | {"c_execute": 0.8, "suggestions": "all"}, None, ENTRY, (0, 2), {}),
+    "execute": ("sealed", EXECUTES | {"c_execute": 0.8}, None, ENTRY, (0, 2), {}),
+    "waiting": waiting(5.0),
+    "own types": ("tiny", SEEN, Population(beta=(0.1, 3.0)), 0.0, (0,), {"hidden": 2, "hidden_least": 2, "seen": 4}),
+    **{
+        f"{model}, {knows}": ("tiny", {"c_suggest": 0.05, "eta": 0.8, "gamma": 0.95, "knowledge": knows},
+                              MIXED(chooses=chooses), 0.0, (0,), {})
+        for knows in ("own", "exact") for model, chooses in MODELS.items()
+    },
+    "execute for nothing": ("tiny", EXECUTES | {"c_execute": 0.0, "suggestions": "all"}, None, ENTRY, (0, 2), {}),
+    "execute, free actions": ("costs/ways", EXECUTES | {"c_execute": 0.8}, None, ENTRY, (0, 2), {}),
+    "waiting for little": waiting(1.0),
+    "own types, novices": ("tiny", SEEN, Population(beta=(0.1, 0.1)), 0.0, (0,), {"hidden": 2, "seen": 4}),
+}  # fmt: skip
+QUICK = 4 + len(MODELS)
+CASES = [pytest.param(name, marks=[pytest.mark.slow] * (n >= QUICK)) for n, name in enumerate(AT_LEAST)]
 
 
 @pytest.mark.cases
-@pytest.mark.parametrize("c_wait", [1.0, 5.0])
-@pytest.mark.parametrize("steps", [0, 3])
-def test_a_bound_holds_for_a_robot_that_pays_for_waiting(
-    steps: int, c_wait: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """People leave the part while the robot is on its way: then it has paid for coming, and does not wait."""
+@pytest.mark.parametrize("name", CASES)
+def test_a_bound_on_a_part_is_one_of_the_task(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For robots that execute or pay for waiting, types of one's own, and every choice model and trust rule."""
+    task, given, people, entry, ways, sizes = AT_LEAST[name]
+    table = kit(task) if isinstance(task, str) else sweep(graph_task(task, goal=9, start=0))
+    setting = Setting(**given)
+    (human,) = (people or PRIOR).sample(None, 1, np.random.default_rng(3))
+    assumed = Assumptions.of(setting, human if setting.knowledge == "own" else None, people or PRIOR)
+    if name.startswith("own types"):
+        assumed = replace(assumed, types=Clearheaded)
     monkeypatch.setitem(truncated_task.BATCH, "sweep", 1)
-    table, known = sweep(graph_task(FORKS, goal=9, start=0)), Population(beta=(0.0, 0.0), theta=(1.0, 1.0))
-    robots = (Waits(c_wait=c_wait),)
-    setting = Setting(robots=robots, c_suggest=5.0, gamma=0.95, trust="constant", knowledge="exact")
-    assumed = Assumptions.of(setting, None, known)
 
-    def value(problem: AssistPOMDP) -> np.ndarray:
-        visits = AttentionSubproblem.of(problem, 8.0, steps)
+    def value(problem: AssistPOMDP, steps: int) -> np.ndarray:
+        visits = AttentionSubproblem.of(problem, entry, steps)
         return qmdp(visits.pomdp, tolerance=1e-9).value_mdp[visits.pomdp.model.choices.initial]
 
-    exact = value(assumed.problem(Choices.of(table)))
-    for size in (1, 2, 3, 4, 6):
-        sizes = replace(truncated_bound.SIZES, hidden=size, hidden_least=size, tolerance=1e-6, sweeps=1000)
-        monkeypatch.setattr(truncated_bound, "SIZES", sizes)
-        bound = value(bounded(table, assumed, entry=8.0, entry_steps=steps, size=10).problem)
-        assert (bound >= exact - 1e-6).all()
-
-
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("knowledge", thinned(["own", "exact"]))
-def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(
-    model: str, knowledge: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """If beta and theta are observed, the value of a part is at least that of the task, under every trust rule."""
-    table, setting = kit("tiny"), Setting(c_suggest=0.05, eta=0.8, gamma=0.95, knowledge=knowledge)
-    prior = Population(beta=(0.3, 2.0), theta=(0.6, 0.9), sigma=(1.0, 1.0), chooses=MODELS[model])
-    (human,) = prior.sample(None, 1, np.random.default_rng(3))
-    known = human if knowledge == "own" else None
-    exact = qmdp(Assumptions.of(setting, known, prior).problem(choices := Choices.of(table)), tolerance=1e-8).value_mdp[
-        choices.initial
-    ]
-    for seen in (0, 20_000):
-        monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, seen=seen))
-        for size in (1, 4, 12):
-            problem = bounded(table, Assumptions.of(setting, known, prior), entry=0.0, size=size).problem
-            value = qmdp(problem, tolerance=1e-8).value_mdp[problem.model.choices.initial]
-            assert (value >= exact - 1e-6).all()
+    for steps in ways:
+        exact, gaps = value(assumed.problem(Choices.of(table)), steps), []
+        for size, seen in ((1, 0), (4, 0), (12, 0), (12, 30), (10_000, 20_000)):
+            least = {"hidden": size, "hidden_least": size, "seen": seen, "tolerance": 1e-6, "sweeps": 10_000}
+            monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, **least | sizes))
+            gap = value(bounded(table, assumed, entry=entry, entry_steps=steps, size=size).problem, steps) - exact
+            assert gap.min() > -1e-6
+            gaps.append(gap.max())
+        assert gaps[-1] <= gaps[1] + 1e-9
+        if setting.execute:
+            assert gaps[-1] < 1e-8
+            assert gaps[1] > gaps[2] >= gaps[3] - 1e-9
 
 
 def test_what_is_looked_at_as_a_whole_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -354,35 +359,3 @@ def test_a_robot_that_may_mistake_the_state_considers_all_suggestions(monkeypatc
     assert solve(one.problem).upper >= whole.lower - 1e-9
     only_optimal = Assumptions.of(replace(setting, observation=None), None, people).problem(Choices.of(table))
     assert solve(only_optimal).upper < whole.lower - 1
-
-
-class Clearheaded(HiddenType):
-    """Types with a part of one's own: half of the people choose with 30 times their expertise."""
-
-    factor = np.array([1.0, 30.0])
-
-    @cached_property
-    def parts(self) -> Mapping[str, int]:
-        return {**super().parts, "clear": 2}
-
-    @cached_property
-    def expertise(self) -> np.ndarray:
-        return super().expertise * self.factor[self.part("clear")]
-
-    def prior(self, person: np.ndarray) -> np.ndarray:
-        return super().prior(0.5 * person[:, None].repeat(2, axis=1).reshape(-1, person.shape[1]))
-
-
-@pytest.mark.parametrize("beta", [(0.1, 0.1), (0.1, 3.0)])
-def test_bounds_hold_for_types_of_ones_own(monkeypatch: pytest.MonkeyPatch, beta: tuple[float, float]) -> None:
-    """People comply, beyond the states that are seen, by the expertise of their type."""
-    monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, hidden=2, hidden_least=2, seen=4))
-    table, setting = kit("tiny"), Setting(c_suggest=0.3, gamma=0.9, knowledge="exact")
-    assumed = replace(Assumptions.of(setting, None, Population(beta=beta)), types=Clearheaded)
-    choices = Choices.of(table)
-    exact = qmdp(assumed.problem(choices), tolerance=1e-8).value_mdp[choices.initial]
-    for size in (1, 4):
-        problem = bounded(table, assumed, entry=0.0, size=size).problem
-        value = qmdp(problem, tolerance=1e-8).value_mdp[problem.model.choices.initial]
-        assert value.shape == exact.shape
-        assert (value >= exact - 1e-6).all()

@@ -8,19 +8,11 @@ from conftest import DOMAINS, costly, graph_task, table_of
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from test_policy_iteration import PlainBackup
 
-from assist.people.choices import Choices
-from assist.people.decision import choice, influence, lapse, trust
-from assist.people.human import HumanModel
-from assist.people.ranges import Population
-from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome
-from assist.person import frontier_bounds
-from assist.person.assumptions import Assumptions
+from assist.people import Choices, EquationSeven, HumanModel, Population, TrustRule, constant, outcome
+from assist.person import AssistPOMDP, Assumptions, OfRobots, TruncatedTask, frontier_bounds, solve
 from assist.person.closed_problem import closed_problem
-from assist.person.pomdp import AssistPOMDP
-from assist.person.robots import OfRobots
-from assist.person.solver import solve
-from assist.person.truncated_task import TruncatedTask
 from planner import Instance, OnDemand, Table, sweep
 
 Floats = NDArray[np.float64]
@@ -45,41 +37,17 @@ def solvable(drawn: list[tuple[int, int, int]]) -> Table | None:
     return table if np.isfinite(table[table.initial]) and not table.is_goal([table.initial])[0] else None
 
 
-def values(problem: AssistPOMDP, *, policy: str) -> Floats:
-    """Return values, shape (n, B, T), by plain value iteration with the equations of `people.decision`.
+def values(problem: AssistPOMDP, *, worst: bool = False) -> Floats:
+    """Return values of the best policy with beta and theta observed, shape (n, B, T), by plain value iteration.
 
-    `policy` is "best", the optimal policy with beta and theta observed, or "worst optimal": the worst optimal
-    suggestion in every state, and nothing in dead ends.
+    Or those of the worst optimal suggestion in every state, and of nothing in dead ends.
     """
-    model, grid, c = problem.model, problem.grid, problem.model.choices
-    steps = []  # of each state: what each suggestion makes people do, where it moves theta, and what all that costs
-    for x in range(len(c)):
-        told = np.flatnonzero(c.optimal[x]).tolist()
-        if policy == "best" or not told:
-            told.append(-1)
-        options = []
-        for r in told if not c.goal[x] else ():
-            y = c.targets[x, r]
-            theta = (
-                grid.theta if r < 0 else trust(grid.theta, -model.q[x].min(), 0.0 if c.goal[y] else -c.h[y], model.eta)
-            )
-            alone = np.array([choice(model.q[x, :, 0], c.applicable[x], beta) for beta in grid.beta])
-            chance = lapse(
-                influence(alone[:, None] + 0 * grid.theta[:, None], r, grid.theta), c.applicable[x], model.lapse
-            )
-            options.append((chance, *grid.shares(theta), chance @ c.costs[x] + problem.robot_costs[x, int(r >= 0)]))
-        steps.append(options)
-    value = np.zeros((len(c), *grid.shape))
+    plain, value = PlainBackup(problem), np.zeros((len(problem.ends), *problem.grid.shape))
+    optimal = problem.suggests_optimal[:, :, 0, None, None]
     for _ in range(int(np.log(1e-9) / np.log(problem.gamma))):
-        new = np.zeros_like(value)
-        for x in np.flatnonzero(~c.goal):
-            returns = []
-            for chance, low, up, cost in steps[x]:
-                after = value[c.targets[x]]
-                after = (1 - up) * after[:, :, low] + up * after[:, :, low + 1]
-                returns.append(problem.gamma * np.einsum("bta,abt->bt", chance, after) - cost)
-            new[x] = np.max(returns, axis=0) if policy == "best" else np.min(returns, axis=0)
-        value = new
+        q = plain.values(value)
+        least = np.where(optimal.any(axis=1), np.where(optimal, q, np.inf).min(axis=1), q[:, 0])
+        value = np.where(problem.ends[:, None, None], 0.0, least if worst else q.max(axis=1))
     return value
 
 
@@ -97,8 +65,8 @@ def test_bounds_on_the_frontier_hold(drawn: list[tuple[int, int, int]], given: d
     assert problem.frontier is not None
     at = part.states[part.frontier]
     left = 1e-8 * (3 + cost["robot"].c_suggest) / (1 - cost["gamma"])  # of the value iteration
-    assert (values(whole, policy="best")[at] <= problem.frontier.upper + left).all()
-    assert (values(whole, policy="worst optimal")[at] >= problem.frontier.lower - left).all()
+    assert (values(whole)[at] <= problem.frontier.upper + left).all()
+    assert (values(whole, worst=True)[at] >= problem.frontier.lower - left).all()
 
 
 @examples
@@ -156,19 +124,37 @@ def test_what_is_suggested_on_demand_is_what_the_table_has() -> None:
     assert len(plan) == table.plan_lengths([table.initial])[0] == 8
 
 
-@pytest.mark.parametrize("cost", [1, 3])
-def test_the_bounds_are_exact_where_there_is_one_way(cost: int) -> None:
-    """A corridor: each of five steps costs `cost`, and free suggestions change nothing.
+CORRIDOR, DEAD_END = -(1 - 0.9**5) / 0.1, [(1, 0, 2), (1, 2, 2), (2, 3, 5), (3, 2, 1)]
+BY_HAND: list[tuple[list[tuple[int, int, int]], int, float, float, float, float]] = [
+    # Roads and the start, states, the cost of a suggestion, and the bounds at the frontier.
+    # In a corridor free suggestions change nothing. For the upper bound, each of five steps may cost as little as 1.
+    ([(node, node - 1, 1) for node in range(1, 9)], 8, 3, 0.0, CORRIDOR, CORRIDOR),
+    ([(node, node - 1, 3) for node in range(1, 9)], 8, 3, 0.0, 3 * CORRIDOR, CORRIDOR),
+    # A goal that is a free step away: who follows for nothing pays nothing, as far as the bound's sweeps go.
+    ([(3, 2, 1), (2, 1, 0), (1, 0, 0)], 3, 1, 0.0, 0.0, 0.0),
+    # Standing still costs 1 where all else is free.
+    ([(1, 0, 0), (1, 2, 0), (2, 3, 0)], 1, 1, 1.0, -1 / 0.1, 0.0),
+    # In a dead end nothing is suggested, and every step is paid for.
+    (DEAD_END, 1, 1, 7.0, -5 / 0.1, -1 / 0.1),
+]
 
-    For the upper bound, each of these steps may cost as little as 1.
-    """
-    table = sweep(graph_task([(node, node - 1, cost) for node in range(1, 9)], start=8))
-    part = TruncatedTask.of(table, states=3)
-    frontier = closed_problem(part, Assumptions(gamma=0.9, robot=OfRobots(c_suggest=0.0), lapse=0.0)).frontier
+
+@pytest.mark.parametrize(("roads", "start", "states", "c_suggest", "lower", "upper"), BY_HAND)
+def test_bounds_by_hand(
+    roads: list[tuple[int, int, int]], start: int, states: int, c_suggest: float, lower: float, upper: float
+) -> None:
+    part = TruncatedTask.of(sweep(graph_task(roads, start=start)), states=states)
+    assumed = Assumptions(gamma=0.9, robot=OfRobots(c_suggest=c_suggest), lapse=0.0)
+    frontier = closed_problem(part, assumed).frontier
     assert frontier is not None
-    assert part.choices.h[part.frontier].tolist() == [5 * cost]
-    np.testing.assert_allclose(frontier.upper, -(1 - 0.9**5) / 0.1, rtol=1e-12)
-    np.testing.assert_allclose(frontier.lower, np.full((1, 1, 10), -cost * (1 - 0.9**5) / 0.1), rtol=1e-6)
+    np.testing.assert_allclose(frontier.lower, np.full((1, 1, 10), lower), rtol=1e-6, atol=1e-4)
+    np.testing.assert_allclose(frontier.upper, upper, rtol=1e-12)
+    assert (frontier.lower <= 0).all()
+    if np.isinf(part.choices.h[part.frontier]).all():
+        anybody = part.bounds_of_anybody(assumed)
+        np.testing.assert_allclose(anybody.lower, frontier.lower, rtol=1e-12)
+        np.testing.assert_array_equal(anybody.upper.shape, (1, 1, 1))
+        assert (anybody.floor, frontier.floor) == pytest.approx((lower,) * 2, rel=1e-12)
 
 
 def test_the_lower_bound_knows_who_follows() -> None:
@@ -185,9 +171,7 @@ def test_the_lower_bound_knows_who_follows() -> None:
     assert sorted(h) == [6, 9]
     np.testing.assert_allclose(frontier.lower[:, 0, -1], -1.5 * (1 - 0.9**h) / 0.1, rtol=1e-6)
     floor = -1.5 / 0.1
-    np.testing.assert_allclose(
-        frontier.lower[:, 0, 0], floor, rtol=1e-6
-    )  # at theta 0 a person may never reach the goal
+    np.testing.assert_allclose(frontier.lower[:, 0, 0], floor, rtol=1e-6)  # who may never reach the goal
     assert (np.diff(frontier.lower) > 0).all()
     # A suggestion in each step raises theta by eta, so that even someone who began without any influence arrives.
     moved = closed_problem(part, Assumptions(gamma=0.9, robot=OfRobots(c_suggest=0.5), eta=0.2, lapse=0.0)).frontier
@@ -206,7 +190,7 @@ def test_the_lower_bound_is_exact_on_a_ladder_for_people_who_choose_blindly(top:
     blind = Population(beta=(0.0, 0.0))
     setting = {"gamma": 0.9, "robot": OfRobots(c_suggest=0.25), "population": blind}
     whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table), eta=eta, lapse=0.0), **setting)  # type: ignore[arg-type]
-    expected = values(whole, policy="worst optimal")[:, 0]
+    expected = values(whole, worst=True)[:, 0]
     for states in range(1, top):
         part = TruncatedTask.of(table, states=states, population=blind)
         frontier = closed_problem(part, Assumptions(eta=eta, lapse=0.0, **setting)).frontier  # type: ignore[arg-type]
@@ -274,42 +258,6 @@ def test_the_lower_bound_follows_rules_of_trust_whose_steps_are_known() -> None:
     assert (lower(0.2, None) > lower(0.0, None)).any()
     np.testing.assert_allclose(lower(0.4, None, utility_scale=2.0), lower(0.2, None), rtol=1e-12)
     np.testing.assert_allclose(lower(0.2, outcome()), -2 / 0.1, rtol=1e-12)
-
-
-def test_who_follows_for_nothing_pays_nothing() -> None:
-    """A goal that is a free step away: the bound approaches 0 from the worst value, as far as its sweeps go."""
-    table = sweep(graph_task([(3, 2, 1), (2, 1, 0), (1, 0, 0)], start=3))
-    frontier = closed_problem(
-        TruncatedTask.of(table, states=1), Assumptions(gamma=0.9, robot=OfRobots(c_suggest=0.0), lapse=0.0)
-    ).frontier
-    assert frontier is not None
-    assert (frontier.lower > -1e-4).all()
-    assert (frontier.lower <= 0).all()
-
-
-def test_standing_still_costs_1_where_all_else_is_free() -> None:
-    part = TruncatedTask.of(sweep(graph_task([(1, 0, 0), (1, 2, 0), (2, 3, 0)])), states=1)
-    frontier, anybody = (
-        closed_problem(part, Assumptions(gamma=0.9)).frontier,
-        part.bounds_of_anybody(Assumptions(gamma=0.9)),
-    )
-    assert frontier is not None
-    for bounds in (frontier, anybody):
-        np.testing.assert_allclose(bounds.lower, np.full((1, 1, 10), -1 / 0.1), rtol=1e-12)
-        np.testing.assert_array_equal(bounds.upper, [[[0.0]]])
-
-
-def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None:
-    table = sweep(graph_task([(1, 0, 2), (1, 2, 2), (2, 3, 5), (3, 2, 1)]))
-    part = TruncatedTask.of(table, states=1)
-    frontier = closed_problem(part, Assumptions(gamma=0.9, robot=OfRobots(c_suggest=7.0))).frontier
-    assert frontier is not None
-    assert part.choices.h[part.frontier].tolist() == [np.inf]
-    np.testing.assert_allclose(frontier.lower, np.full((1, 1, 10), -5 / 0.1), rtol=1e-12)
-    np.testing.assert_allclose(frontier.upper, -1 / 0.1, rtol=1e-12)
-    anybody = part.bounds_of_anybody(Assumptions(gamma=0.9))
-    np.testing.assert_allclose(anybody.lower, np.full((1, 1, 10), -5 / 0.1), rtol=1e-12)
-    assert (anybody.floor, frontier.floor) == pytest.approx((-5 / 0.1,) * 2, rel=1e-12)
 
 
 def test_a_discount_that_cannot_be_is_refused() -> None:

@@ -14,20 +14,13 @@ from hypothesis import strategies as st
 from silence import Rested
 from test_unknown_goals import three_goals
 
-from assist.people.belief import Grid
-from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel
-from assist.people.misconception import perceived_cost_to_go
+from assist.people import Choices, Grid, Human, HumanModel, perceived_cost_to_go
 from assist.people.trust_rules import Reliability, TrustRule, outcome, outcome_at_disagreement
-from assist.person import AssistPOMDP, policy_iteration, sparse_iteration
+from assist.person import AssistPOMDP, Behaviour, LeafBounds, OfRobots, policy_iteration, qmdp, sparse_iteration
 from assist.person.attention_subproblem import AttentionSubproblem
-from assist.person.behaviour import Behaviour
-from assist.person.leaf_bounds import LeafBounds
 from assist.person.mdp_values import evaluate, initial_upper_bounds, value_iteration
 from assist.person.policy_iteration import rounding_error
 from assist.person.problem_arrays import ProblemArrays
-from assist.person.qmdp import qmdp
-from assist.person.robots import OfRobots
 from assist.person.rounding import ROUNDING, rounding
 from planner import sweep
 

@@ -13,10 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from assist.people import Choices, Grid, Human, HumanModel, Population, constant, perceived_cost_to_go
-from assist.person import QMDP, AssistPOMDP, OfRobots, VectorPolicy
-from assist.person.pomdp import Behaviour
+from assist.person import QMDP, AssistPOMDP, Behaviour, OfRobots, VectorPolicy, qmdp
 from assist.person.problem_arrays import ProblemArrays
-from assist.person.qmdp import qmdp
 from assist.person.solution_cache import SolutionCache
 from planner import Table, sweep
 

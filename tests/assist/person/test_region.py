@@ -6,18 +6,22 @@ import json
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from conftest import KITTING, costly, graph_task, invoke, kit, table_of, thinned
+from conftest import KITTING, costly, graph_task, invoke, table_of, thinned
 from hypothesis import given
 from hypothesis import strategies as st
+from test_unknown_goals import three_goals
+from test_wide import HABITS, task_of
 
-from assist.people import Choices, Human, HumanModel, Misconception, Population, Reliability
+from assist.people import Choices, Goals, Human, HumanModel, Misconception, Population, Reliability
 from assist.person import AssistPOMDP, Assumptions, OfRobots, PersonProblem, Setting, Solution, TruncatedTask, solve
 from assist.person import truncated_task as region
 from assist.person.closed_problem import closed_problem
 from assist.person.likely_states import perceived_of_states
+from assist.person.mdp_values import evaluate
 from assist.person.pomdp import Behaviour
 from assist.person.qmdp import qmdp
 from planner import InputFileError, Instance, OnDemand, Table, sweep
@@ -31,44 +35,98 @@ def whole(table: Table) -> AssistPOMDP:
     return AssistPOMDP.of(HumanModel.exact(Choices.of(table)), **SETTING)  # type: ignore[arg-type]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("instance", [*INSTANCES.values(), WAYS], ids=["fixed", "dead ends", "costs"])
-def test_a_parts_bounds_hold_for_the_whole(instance: Instance) -> None:
-    table = table_of(instance)
-    exact = solve(whole(table), gap=5e-2)
-    widths = []
-    for states in (5, 60, 10_000):
-        part = TruncatedTask.of(table, states=states)
-        bounds = solve(closed_problem(part, Assumptions(**SETTING)), gap=5e-2)  # type: ignore[arg-type]
-        assert bounds.lower <= exact.upper
-        assert exact.lower <= bounds.upper
-        assert bounds.value_never <= exact.upper
-        widths.append(bounds.upper - bounds.lower)
-    assert len(part.frontier) == 0
-    assert len(part.choices) == len(table)
-    assert widths[-1] < widths[0]
-    assert exact.stopped == bounds.stopped == "gap"
-    assert abs(bounds.lower - exact.lower) <= 5e-2 * abs(exact.lower)
-
-
-def test_a_part_has_the_choices_of_the_task() -> None:
-    table = table_of(INSTANCES["paper-fixed"])
-    part = TruncatedTask.of(table, states=30)
-    full = Choices.of(table)
-    inside = np.setdiff1d(np.arange(len(part.choices)), part.frontier)
-    assert len(inside) == 30 + part.choices.goal[inside].sum()
-    for x in inside:
-        theirs, ours = int(part.states[x]), part.choices
-        count = full.applicable[theirs].sum()
-        assert ours.applicable[x].sum() == count
-        assert sorted(part.states[ours.targets[x, :count]]) == sorted(full.targets[theirs, :count])
-        assert set(ours.actions[x][ours.optimal[x]]) == set(full.actions[theirs][full.optimal[theirs]])
-    assert not part.choices.applicable[part.frontier].any()
-    np.testing.assert_array_equal(part.choices.h, full.h[part.states])
-    np.testing.assert_array_equal(part.local(part.states), np.arange(len(part.states)))
-    outside = np.setdiff1d(np.arange(len(table)), part.states)
+@pytest.mark.parametrize("several", [False, True])
+def test_a_part_has_the_choices_of_the_task(several: bool) -> None:
+    task = three_goals("sealed") if several else table_of(INSTANCES["paper-fixed"])
+    full = task.choices() if isinstance(task, Goals) else Choices.of(task)
+    part = TruncatedTask.of(task, states=30)
+    ours, rows = part.choices, part.states
+    inside = np.setdiff1d(np.arange(len(ours)), part.frontier)
+    assert several or len(inside) == 30 + ours.goal[inside].sum()
+    for x in inside[ours.applicable[inside].any(axis=1)]:
+        theirs, count = int(rows[x]), ours.applicable[x].sum()
+        assert full.applicable[theirs].sum() == count
+        assert sorted(rows[ours.targets[x, :count]]) == sorted(full.targets[theirs, :count])
+        for own, whole in zip(ours.of_each_goal, full.of_each_goal, strict=True):
+            assert set(own.actions[x][own.optimal[x]]) == set(whole.actions[theirs][whole.optimal[theirs]])
+    assert not ours.applicable[part.frontier].any()
+    np.testing.assert_array_equal(ours.goals.h, full.goals.h[:, rows])
+    np.testing.assert_array_equal(ours.goals.goal, full.goals.goal[:, rows])
+    np.testing.assert_array_equal(part.local(rows), np.arange(len(rows)))
+    outside = np.setdiff1d(np.arange(len(full)), rows)
     assert (part.local(outside) == -1).all()
-    assert part.local(np.array([len(table), part.states[0]])).tolist() == [-1, 0]  # a number beyond all of them
+    assert part.local(np.array([len(full), rows[0]])).tolist() == [-1, 0]  # a number beyond all of them
+
+
+def test_a_truncated_task_of_all_goals_has_bounds_for_each() -> None:
+    """Compared with the values on the whole task: of a robot that is told the goal, and of one that does nothing."""
+    goals = three_goals("sealed")
+    problem = AssistPOMDP.of(HumanModel.exact(goals.choices()), **SETTING)  # type: ignore[arg-type]
+    best, never = qmdp(problem).value_mdp, evaluate(problem, np.zeros(len(problem.ends), dtype=np.int64))
+    for states in (4, 60):
+        part = TruncatedTask.of(goals, states=states)
+        frontier = closed_problem(part, Assumptions(**SETTING)).frontier  # type: ignore[arg-type]
+        assert frontier is not None
+        assert frontier.floor is not None
+        leaves = part.states[part.frontier]
+        assert len(frontier.states) == len(leaves) > 0
+        assert (best[leaves] <= frontier.upper + 1e-9).all()
+        assert (never[leaves] >= frontier.lower - 1e-8).all()  # `evaluate` is lowered by its rounding errors
+        assert (frontier.lower > frontier.floor).any()
+
+
+def test_a_truncated_task_holds_the_likeliest_states_of_all_goals() -> None:
+    """With the whole prior on one goal it is that goal's, and misconceptions are the same for every goal."""
+    goals = three_goals("sealed")
+    for number, (name, table) in enumerate(goals.tables.items()):
+        certain = Goals(goals.tables, {other: float(other == name) for other in goals.tables})
+        own, joint = (TruncatedTask.of(task, states=20) for task in (table, certain))
+        expanded = [np.delete(part.states, part.frontier) for part in (own, joint)]
+        assert set(expanded[0][table.h[expanded[0]] > 0]) <= set(expanded[1])
+        human = Human(1.0, 0.5, 1.0, Misconception(1.0, 5))
+        one = TruncatedTask.of(table, states=20, among=goals)
+        assert one.choices.offered is not None
+        assert (one.choices.offered >= one.choices.optimal)[~one.choices.goal].all()
+        perceived = human.expects(joint.choices.of_goal(number))
+        place = joint.local(one.states)
+        np.testing.assert_array_equal(perceived[place[place >= 0]], human.expects(one.choices)[place >= 0])
+
+
+INTERVALS: dict[str, tuple[Any, dict[str, Any], dict[str, Any]]] = {
+    "robots that execute": ("tiny", {"gamma": 0.9, "c_suggest": 0.3, "execute": True, "c_execute": 0.4}, {}),
+    "dead ends": ("sealed", {"gamma": 0.9, "c_suggest": 0.3, "execute": True, "c_execute": 0.4}, {}),
+    "a known misconception": (
+        "tiny", {"gamma": 0.9, "c_suggest": 0.1}, {"misconception": Misconception.drawn(0.7, np.random.default_rng(3))}
+    ),
+    "terms": ("tiny", {"gamma": 0.95, "c_suggest": 0.1}, {"population": HABITS}),
+    "goals": ("goals of tiny", {"gamma": 0.9, "c_suggest": 0.05}, {}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=[pytest.mark.slow] * (one == "dead ends")) for one in INTERVALS]
+)
+def test_the_interval_of_a_part_overlaps_that_of_the_whole_which_it_becomes(name: str) -> None:
+    task, setting, options = INTERVALS[name]
+    known, gap, several = task_of(task), 1e-2 if name == "goals" else 1e-3, name == "goals"
+    options = {"setting": Setting(**setting), **options}
+    asked = known if several else OnDemand(known.task, jobs=1)
+    exact = solve(PersonProblem.of(known, **options).pomdp, gap=gap, time_limit=20)
+    for part, states in ((known, 3), (asked, 12), (asked, 10_000)):
+        problem = PersonProblem.of(part, states=states, **options)
+        found = solve(problem.pomdp, gap=gap, time_limit=10)
+        assert found.lower <= exact.upper
+        assert exact.lower <= found.upper
+        assert found.value_never <= exact.upper
+        frontier = problem.pomdp.frontier
+        if setting.get("execute") and frontier is not None and len(frontier.states):
+            inside = problem.states >= 0
+            assert (problem.pomdp.afterstate[inside] >= inside.sum()).any()
+            assert len(set(frontier.acting.tolist())) == (~inside).sum() // 2 * 2
+    assert (found.lower, found.upper) == pytest.approx((exact.lower, exact.upper), rel=gap)
+    if name == "a known misconception":
+        unknown = solve(PersonProblem.of(known, setting=Setting(**setting)).pomdp, gap=1e-3)
+        assert abs(unknown.lower - exact.lower) > 0.01
 
 
 def looked_at(table: Table, human: Human | None = None) -> list[int]:
@@ -178,19 +236,6 @@ def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
     )
 
 
-def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
-    """Only the knowledge about other states differs: on demand there is none, so that the lower bound is lower."""
-    table = kit("tiny")
-    asked = OnDemand(table.task)
-    ours, theirs = TruncatedTask.of(table, states=8), TruncatedTask.of(asked, states=8)
-    values = {tuple(row) for row in table.values(ours.states).tolist()}
-    assert values == {tuple(row) for row in asked.values(theirs.states).tolist()}
-    known, unknown = (solve(closed_problem(r, Assumptions(**SETTING)), gap=5e-2) for r in (ours, theirs))  # type: ignore[arg-type]
-    assert unknown.lower <= known.lower + 1e-9
-    assert unknown.upper == pytest.approx(known.upper, rel=2e-2)
-    assert unknown.upper >= known.lower
-
-
 @costly(5, 30)
 @given(st.integers(1, 150), st.floats(0.5, 0.995), st.floats(0, 2), st.floats(0.5, 2))
 def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: float, gap: float) -> None:
@@ -258,29 +303,13 @@ def test_a_parts_bounds_hold_where_robots_execute(instance: Instance, c_execute:
     assert sorted(gaps, reverse=True) == pytest.approx(gaps, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", thinned(["tiny", "sealed"]))
-def test_an_interval_of_a_part_has_the_value_of_the_whole_where_robots_execute(name: str) -> None:
-    table = kit(name)
-    setting = Setting(gamma=0.9, c_suggest=0.3, execute=True, c_execute=0.4)
-    exact = solve(PersonProblem.of(table, setting=setting).pomdp, gap=1e-3, time_limit=20)
-    for known, states in ((table, 3), (OnDemand(table.task, jobs=1), 8), (table, 20), (table, 10_000)):
-        problem = PersonProblem.of(known, setting=setting, states=states)
-        part = solve(problem.pomdp, gap=1e-3, time_limit=10)
-        assert part.lower <= exact.upper
-        assert exact.lower <= part.upper
-        if problem.pomdp.frontier is not None and len(problem.pomdp.frontier.states):
-            beyond = (problem.states < 0).sum() // 2
-            assert (problem.pomdp.afterstate[problem.states >= 0] >= (problem.states >= 0).sum()).any()
-            assert len(set(problem.pomdp.frontier.acting.tolist())) == 2 * beyond
-    assert (part.lower, part.upper) == pytest.approx((exact.lower, exact.upper), abs=1e-9)
-
-
 def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
     part = closed_problem(TruncatedTask.of(table_of(WAYS), states=20))
     for problem, gap in ((whole(table_of(INSTANCES["sealed"])), 0.05), (part, 1.0)):
         solution = solve(problem, gap=gap)
-        solution.save(tmp_path / "policy.npz", note=np.array("kept"))
-        again = Solution.load(tmp_path / "policy.npz")
+        solution.save(tmp_path / "policy", note=np.array("kept"))
+        assert [file.name for file in tmp_path.iterdir()] == ["policy"]
+        again = Solution.load(tmp_path / "policy")
         x = np.flatnonzero(~problem.ends)
         belief = (
             np.random.default_rng(0).dirichlet(np.ones(problem.prior.size), len(x)).reshape(-1, *problem.grid.shape)
@@ -291,13 +320,6 @@ def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
         assert all(getattr(solution, name) == getattr(again, name) for name in facts)
         assert again.pomdp.model.choices.names == problem.model.choices.names
         assert (again.pomdp.frontier is None) == (problem.frontier is None)
-
-
-def test_a_solution_is_saved_under_the_name_that_is_given(tmp_path: Path, tiny: Table) -> None:
-    solution = solve(whole(tiny), gap=0.1)
-    solution.save(tmp_path / "policy")
-    assert [file.name for file in tmp_path.iterdir()] == ["policy"]
-    assert Solution.load(tmp_path / "policy").lower == solution.lower
 
 
 def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tiny: Table) -> None:
@@ -314,20 +336,6 @@ def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tin
         assert part.pomdp.frontier.states.tolist() == region.frontier.tolist()
 
 
-def test_a_known_misconception_is_the_same_on_a_part(tiny: Table) -> None:
-    """The intervals of the part and of the whole task overlap, and become the same as the part grows."""
-    setting, known = Setting(gamma=0.9, c_suggest=0.1), Misconception.drawn(0.7, np.random.default_rng(3))
-    exact = solve(PersonProblem.of(tiny, setting=setting, misconception=known).pomdp, gap=1e-3)
-    for states in (4, 21):
-        problem = PersonProblem.of(OnDemand(tiny.task), setting=setting, misconception=known, states=states)
-        found = solve(problem.pomdp, gap=1e-3)
-        assert found.lower <= exact.upper
-        assert exact.lower <= found.upper
-    assert (found.lower, found.upper) == pytest.approx((exact.lower, exact.upper), abs=1e-6)
-    unknown = solve(PersonProblem.of(tiny, setting=setting).pomdp, gap=1e-3)
-    assert abs(unknown.lower - exact.lower) > 0.01
-
-
 def test_another_file_is_no_solution(tmp_path: Path) -> None:
     text, other = tmp_path / "text.npz", tmp_path / "other.npz"
     text.write_text("nothing of the kind")
@@ -337,17 +345,17 @@ def test_another_file_is_no_solution(tmp_path: Path) -> None:
             Solution.load(file)
 
 
-def test_the_command_takes_robots_that_execute_on_a_part_of_a_task(tmp_path: Path) -> None:
-    out = tmp_path / "policy.npz"
-    size = ("--set", "region_states=20", "--set", "execute=true")
-    done = invoke("policy", KITTING / "paper.pddl", *size, "--time-limit", 0.1, "--out", out, "--json")
-    assert (done.exit_code, done.stderr) == (0, "")
-    record = json.loads(done.stdout)
-    assert record["lower"] <= record["upper"]
-    assert record["frontier"] > 0
+def test_the_command_cuts_down_what_is_too_large(tmp_path: Path) -> None:
+    """Also for robots that execute, whose problem then has states of its own."""
+    size, out = ("--set", "region_states=20", "--set", "execute=true"), tmp_path / "policy.npz"
+    done = invoke("policy", KITTING / "paper.pddl", *size, "--time-limit", 0.1, "--out", out)
+    assert (done.exit_code, "frontier states" in done.stdout) == (0, True)
     with np.load(out) as stored:
         assert (stored["task_states"] == -1).any()
-        assert len(stored["task_states"]) == len(stored["values"]) == record["states"]
+        assert len(stored["task_states"]) == len(stored["values"])
+    asked = invoke("policy", KITTING / "tiny.pddl", "--set", "max_states=5", "--time-limit", 5, "--json")
+    record = json.loads(asked.stdout)
+    assert (record["method"], record["states"], record["frontier"]) == ("on-demand", 21, 0)
 
 
 def test_the_command_gives_bounds_and_a_file(tmp_path: Path) -> None:
@@ -373,15 +381,6 @@ def test_the_command_gives_bounds_and_a_file(tmp_path: Path) -> None:
     np.savez(out, **{**found, "policy.pomdp.robot_actions": found["policy.pomdp.robot_actions"][:1]})
     with pytest.raises(InputFileError, match="expected a saved Solution"):
         Solution.load(out)
-
-
-def test_the_command_cuts_down_what_is_too_large() -> None:
-    done = invoke("policy", KITTING / "paper.pddl", "--set", "region_states=50", "--time-limit", 0.1)
-    assert done.exit_code == 0
-    assert "frontier states" in done.stdout
-    asked = invoke("policy", KITTING / "tiny.pddl", "--set", "max_states=5", "--time-limit", 5, "--json")
-    record = json.loads(asked.stdout)
-    assert (record["method"], record["states"], record["frontier"]) == ("on-demand", 21, 0)
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,7 @@ from test_policy_iteration import PlainBackup
 from test_qmdp import GRID, make
 
 from assist.people import Choices, Grid, Human, HumanModel, Population, perceived_cost_to_go
-from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, SolverOptions, evaluate, solve
-from assist.person.qmdp import qmdp
+from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, SolverOptions, evaluate, qmdp, solve
 from assist.person.search import relative_gap
 from planner import LimitError, Table, sweep
 
@@ -232,25 +231,6 @@ def test_search_ends_where_rounding_stops_it(tiny_choices: Choices) -> None:
     solution = solve(make(tiny_choices, gamma=0.6), gap=0, time_limit=300)
     assert solution.stopped == "stalled"
     assert 0 < solution.gap < 1e-9
-
-
-@pytest.mark.slow
-def test_bounds_are_lower_at_beliefs_that_are_named(tiny_choices: Choices) -> None:
-    """No policy exceeds the bounds, such as one that is nearly optimal."""
-    pomdp = make(tiny_choices, robot=OfRobots(c_suggest=0.5))
-    rng = np.random.default_rng(0)
-    states = rng.choice(np.flatnonzero(~pomdp.ends), 200)
-    beliefs = rng.dirichlet(np.full(pomdp.prior.size, 0.3), 200).reshape(-1, *pomdp.prior.shape)
-    further = SolverOptions(further_beliefs=(states, beliefs))
-    before = solve(pomdp, gap=0.5).upper_bound(states, beliefs)
-    after = solve(pomdp, gap=0.5, options=further).upper_bound(states, beliefs)
-    # It ends long before the limit, when no bound improves any more.
-    best = solve(pomdp, gap=1e-3, options=further, time_limit=3600)
-    below, above = best.value(states, beliefs), best.upper_bound(states, beliefs)
-    assert (after <= before + 1e-9).all()
-    assert np.count_nonzero(after < before - 1e-3) > 50
-    assert (below <= after + 1e-9).all()
-    assert np.count_nonzero(above - below <= 2e-3 * np.abs(below)) > 150
 
 
 def test_options_with_which_nothing_is_searched_are_refused() -> None:

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from test_unknown_goals import SMALL, three_goals
 
 from assist.declare.declared import plain
-from assist.people import Grid, HumanModel, ImpossibleObservationError
-from assist.people.choices import Choices
+from assist.people import Choices, Grid, HumanModel, ImpossibleObservationError
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.person import AssistPOMDP, JointBelief, ObservationModel, Setting, qmdp
 from assist.person.beliefs import PersonModel

@@ -1,4 +1,4 @@
-"""Tasks of any size: evaluation on demand gives the same results as evaluation at once, where both are possible."""
+"""Tasks of any size: where both are possible, what is computed on demand is what is computed at once."""
 
 from __future__ import annotations
 
@@ -10,49 +10,52 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import kit, thinned
+from test_unknown_goals import three_goals
 
 from assist.certify.information_relaxation.belief_nodes import BeliefNodes
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
-from assist.certify.options import BoundOptions
 from assist.certify.prices import groups_of
-from assist.certify.relaxed_value import relaxed_value
-from assist.certify.team_bound import TeamBound, upper_bound
 from assist.live import Assistant
 from assist.people.ranges import Population
-from assist.person import person_problem, shared_task, truncated_bound, truncated_policy
-from assist.person.attention_subproblem import with_actions
-from assist.person.frontier_bounds import never_erring
+from assist.person import QMDP, AssistPOMDP, Setting, person_problem, qmdp, shared_task, solve, truncated_bound
+from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
 from assist.person.observation_model import ObservationModel
-from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import QMDP, qmdp
-from assist.person.settings import Setting
-from assist.person.solver import solve
-from assist.team.episodes import Episodes
-from assist.team.pool import Pool
-from assist.team.priority import Priority
-from assist.team.schedule import Schedule
-from assist.team.simulate import simulate
-from assist.team.state import TeamAction, TeamState
+from assist.person.person_problem import PersonProblem
+from assist.person.shared_task import default_size
+from assist.person.truncated_policy import TruncatedPolicy
+from assist.team import Episodes, Pool, Priority, Schedule, TeamAction, TeamState, simulate
 from assist.team.trace import Trace
-from planner import CostToGo, OnDemand, Table
+from planner import LimitError, OnDemand, Table
 
 EVERYTHING = 10**6  # states of a region
+EXACT = Setting(c_suggest=0.2, knowledge="exact")
 SIGHT = Setting(c_suggest=0.2, observation=ObservationModel(0.1, 0.1))
-HASTY = BoundOptions(price_rounds=8)  # bounds hold at all prices
+EXECUTES = Setting(execute=True, c_suggest=0.3, c_execute=0.5, c_move=0.1)
+GOALS = Setting(c_suggest=0.05, c_move=0.1, max_steps=60)
+ASKS = Setting(c_suggest=0.2, c_move=0.1, c_ask=0.05, ask_error=0.1, max_steps=60)
+HABITS = Population(weights={"goals": (0.2, 0.6), "arguments": (0.5, 1.5), "name": (0.1, 0.4), "back": (-1.0, -0.5)})
 
 
-def episodes(known: CostToGo, policy: Any, *, states: int, world: Any = "people", **options: Any) -> Episodes:
-    sample = {name: options.pop(name) for name in ("setting", "population", "region") if name in options}
-    pool = Pool.sample(known, 3, seed=1, states=states, **sample)
-    return simulate(pool, policy, humans=2, episodes=5, seed=2, world=world, **options)
+def task_of(name: str) -> Any:
+    """Return a kitting task, or one with three goals."""
+    return three_goals(name.removeprefix("goals of ")) if name.startswith("goals of ") else kit(name)
 
 
-def assert_same(one: Episodes, other: Episodes, number: int = 5) -> None:
-    for name in ("people", "actions", "costs", "helped", "moves", "steps", "discounted_return"):
+def pools(task: Any, region: int = EVERYTHING, **sample: Any) -> tuple[Pool, Pool]:
+    """The same people, on the whole task and on a part of it."""
+    whole = Pool.sample(task, 3, seed=1, **sample)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("assist.team.solving.MAX_ENUMERATED", 1)
+        return whole, Pool.sample(task, 3, seed=1, states=1, region=region, **sample)
+
+
+def assert_same(one: Episodes, other: Episodes) -> None:
+    for name in ("people", "actions", "costs", "helped", "executed", "moves", "steps", "questions"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
-    if one.pruned is not None or other.pruned is not None:
-        np.testing.assert_allclose(one.pruned, other.pruned, rtol=0, atol=1e-12)
-    assert one.actions.sum() > number * 2  # people did something
+    for name, error in (("discounted_return", 1e-9), ("pruned", 1e-12)):
+        if getattr(one, name) is not None or getattr(other, name) is not None:
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=0, atol=error)
+    assert one.actions.sum() > 2 * len(one)  # people did something
 
 
 def weakest(team: TeamState) -> TeamAction:
@@ -60,103 +63,128 @@ def weakest(team: TeamState) -> TeamAction:
     return team.act(np.where(team.active, team.cost_to_go(), -1).argmax(axis=1), team.first_optimal())
 
 
-WAYS: list[tuple[Any, dict[str, Any]]] = [
-    ("none", {}),
-    ("reactive", {}),
-    ("attention", {}),
-    ("priority", {}),
-    (weakest, {}),
-    ("attention", {"setting": Setting(knowledge="exact", c_suggest=0.2)}),
-    ("priority", {"setting": Setting(c_suggest=0.2, travel_time=2)}),
-    ("attention", {"setting": Setting(c_suggest=0.2, suggestions="all"), "population": Population(noise="action")}),
-    ("reactive", {"world": "model"}),
-    ("priority", {"world": "model"}),
-    ("attention", {"setting": SIGHT}),
-    ("priority", {"setting": SIGHT}),
-    ("rollout", {"setting": Setting(c_suggest=0.2, knowledge="exact")}),
-]
-CASES = [
-    pytest.param(task, *way, marks=[] if way in quick else [pytest.mark.slow])
-    for task, quick in (
-        ("sealed", [WAYS[5], WAYS[8]]),  # what is seen badly: `test_states_that_are_possible_keep_their_rows`
-        ("costs/ways", [WAYS[5]]),
-    )
-    for way in WAYS
-]
+LATE = {"presence": Schedule.of(2, joins=[3, 1])}  # in the first step no person is present
+ALL = Setting(c_suggest=0.2, suggestions="all")
+SLOW = Setting(c_suggest=0.2, travel_time=2)
+WAYS: list[tuple[Any, Setting, dict[str, Any]]] = [
+    *((policy, Setting(c_suggest=0.2), {}) for policy in ("none", "reactive", "attention", "priority", weakest)),
+    ("attention", EXACT, {}), ("priority", SLOW, {}), ("rollout", EXACT, {}),
+    ("attention", ALL, {"population": Population(noise="action")}),
+    *((policy, Setting(), {"world": "model"}) for policy in ("reactive", "priority")),
+    *((policy, SIGHT, {}) for policy in ("attention", "priority")),
+]  # fmt: skip
+KNOWN = [Setting(c_suggest=0.1, c_move=0.1, knowledge=knows) for knows in ("own", "exact")]
+QUICK = [
+    ("sealed", "attention", EXACT, {}), ("sealed", "reactive", Setting(), {"world": "model"}),
+    ("costs/ways", "attention", EXACT, {}), ("tiny", "attention", Setting(c_suggest=0.2), LATE),
+    ("sealed", "priority", replace(EXECUTES, knowledge="exact"), {}), ("goals of tiny", "attention", GOALS, {}),
+    ("goals of tiny", "attention", replace(GOALS, knowledge="exact"), {"goals": "likeliest"}),
+    ("tiny", "priority", KNOWN[0], {"population": HABITS}),
+]  # fmt: skip
+RARE = [
+    *((task, *way) for task in ("sealed", "costs/ways") for way in WAYS),
+    *(("sealed", policy, replace(EXECUTES, knowledge=knows, suggestions=suggests), {})
+      for policy in ("attention", "priority") for knows in ("exact", "own") for suggests in ("optimal", "all")),
+    *(("goals of tiny", policy, GOALS, {"world": world})
+      for policy in ("none", "attention", "priority", "whittle") for world in ("people", "model")),
+    *(("goals of tiny", "attention", replace(GOALS, knowledge="exact"), {"goals": goals})
+      for goals in ("inferred", "known")),
+    *(("goals of sealed", policy, setting, {})
+      for policy, setting in (("priority", GOALS), ("attention", ASKS), ("attention-never", ASKS))),
+    *((task, policy, setting, {"population": HABITS, "prior": prior}) for task in ("tiny", "sealed")
+      for policy in ("none", "attention") for setting in KNOWN for prior in (None, Population())),
+    ("tiny", "attention", EXACT, LATE),
+]  # fmt: skip
+CASES = [*QUICK, *(pytest.param(*case, marks=pytest.mark.slow) for case in RARE if case not in QUICK)]
 
 
-@pytest.mark.parametrize(("task", "policy", "options"), CASES)
-def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dict[str, Any]) -> None:
-    """The same people with the same random numbers act equally, in tasks with dead ends and with free actions."""
-    table = kit(task)
-    whole = episodes(table, policy, states=len(table), **options)
-    assert_same(whole, episodes(table, policy, states=len(table) - 1, region=EVERYTHING, **options))
+@pytest.mark.parametrize(("task", "policy", "setting", "options"), CASES)
+def test_the_same_people_act_equally_on_a_part(
+    task: str, policy: Any, setting: Setting, options: dict[str, Any]
+) -> None:
+    """With the same random numbers: with dead ends, free actions, several goals, habits, and robots that execute."""
+    sample = {name: options[name] for name in ("population", "prior") if name in options}
+    run: dict[str, Any] = {name: value for name, value in options.items() if name not in sample}
+    traces = [Trace(), Trace()]
+    found = [
+        simulate(pool, policy, humans=2, episodes=8, seed=3, trace=trace, **run)
+        for pool, trace in zip(pools(task_of(task), setting=setting, **sample), traces, strict=True)
+    ]
+    assert_same(*found)
+    for name in ("action", "suggestion", "executed"):
+        assert [row.get(name) for row in traces[0]] == [row.get(name) for row in traces[1]]
+    assert (policy == "none") == (not found[0].interventions.any())
+    assert setting.execute == bool(found[0].executed.any() if found[0].executed is not None else False)
+    assert (setting.c_ask is not None) == (found[0].questions is not None and found[0].questions.any())
 
 
-def who_executes(monkeypatch: pytest.MonkeyPatch, suggestions: Any, knowledge: Any, region: int) -> tuple[Pool, Pool]:
-    """The same people and a robot that executes, on the whole task and on a region of it."""
-    setting = Setting(
-        execute=True, c_suggest=0.3, c_execute=0.5, c_move=0.1, suggestions=suggestions, knowledge=knowledge
-    )
-    whole = Pool.sample(kit("sealed"), 3, seed=1, setting=setting)
-    monkeypatch.setattr("assist.team.solving.MAX_ENUMERATED", 1)
-    monkeypatch.setattr(shared_task, "ROWS", 300)
-    return whole, Pool.sample(kit("sealed"), 3, seed=1, setting=setting, region=region)
+def by_halves(pomdp: AssistPOMDP) -> QMDP:
+    """A solver whose policy no other one gives."""
+    solved = qmdp(pomdp)
+    return QMDP(pomdp, solved.value_mdp / 2, solved.q_mdp / 2)
 
 
-OF_EXECUTION = thinned([(suggests, knows) for knows in ("exact", "own") for suggests in ("optimal", "all")], 4)
+@pytest.mark.parametrize("solver", [qmdp, by_halves])
+@pytest.mark.parametrize(("task", "setting"), [("sealed", EXECUTES), ("goals of tiny", GOALS)])
+@pytest.mark.parametrize("knowledge", thinned(["own", "exact"]))
+@pytest.mark.parametrize("suggestions", thinned(["all", "optimal"]))
+def test_values_on_a_part_are_those_on_the_whole_task(
+    task: str, setting: Setting, solver: Any, knowledge: Any, suggestions: Any
+) -> None:
+    """For any beliefs; the robot may suggest what is optimal for any goal."""
+    if solver is by_halves and setting.execute:
+        pytest.skip("robots that execute have no solver of one's own on a part")
+    setting = replace(setting, knowledge=knowledge, suggestions=suggestions)
+    whole, part = (pool.policies[0] for pool in pools(task_of(task), setting=setting, solver=solver))
+    assert isinstance(part, TruncatedPolicy)
+    states = len(kit(task.removeprefix("goals of ")))
+    x, prior = np.arange(states)[:: max(1, states // 200)], whole.pomdp.prior
+    belief = np.random.default_rng(4).dirichlet(np.ones(prior.size), len(x)).reshape(-1, *prior.shape)
+    expected, found = (policy.q_values(policy.rows(x), belief) for policy in (whole, part))
+    assert not np.isfinite(expected[:, found.shape[1] :]).any()
+    np.testing.assert_allclose(found, expected[:, : found.shape[1]], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("case", OF_EXECUTION)
-def test_robots_execute_on_rows_as_on_the_whole_task(case: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, part = who_executes(monkeypatch, *case, EVERYTHING)
-    (one, *_), (other, *_), rng = whole.policies, part.policies, Random(1)
-    for _ in range(20):
-        states = np.array(rng.sample(range(len(kit("sealed"))), 10))
-        belief = np.repeat(one.pomdp.prior[None], len(states), axis=0)
-        expected, found = (policy.q_values(policy.rows(states), belief) for policy in (one, other))
-        shown = found.shape[1]
-        assert not np.isfinite(expected[:, shown:]).any()
-        np.testing.assert_allclose(found, expected[:, :shown], rtol=0, atol=1e-9)
-    for policy in ("attention", "priority"):
-        runs = [simulate(pool, policy, humans=2, episodes=8, seed=3) for pool in (whole, part)]
-        assert_same(*runs, 8)
-        np.testing.assert_array_equal(runs[0].executed, runs[1].executed)
-        assert runs[0].executed.any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", OF_EXECUTION)
-def test_robots_that_execute_on_a_part_are_nearly_as_good(case: tuple[Any, Any], monkeypatch: Any) -> None:
-    whole, cut = who_executes(monkeypatch, *case, region=40)
-    none, best, near = (
-        simulate(pool, policy, humans=2, episodes=50, seed=4).discounted_return.mean()
-        for pool, policy in ((cut, "none"), (whole, "attention"), (cut, "attention"))
-    )
-    assert near - none > 0.8 * (best - none) > 0
-    part = Pool.sample(kit("sealed"), 3, seed=1, setting=whole.setting, region=EVERYTHING)
-    exact, same, above = (upper_bound(pool, [0, 1], window=0, gap=1e-3, seed=1).upper for pool in (whole, part, cut))
-    assert best - 0.1 < exact
-    assert exact == pytest.approx(same, rel=2e-3)
-    assert above > exact - 0.02
+@pytest.mark.parametrize("task", thinned(["tiny", "sealed"]))
+def test_values_with_terms_are_those_of_the_whole_task(task: str) -> None:
+    """Q-values along random walks, to 1e-9, and probabilities of choices and effects on trust to rounding."""
+    setting, rng = Setting(c_suggest=0.1, suggestions="all"), Random(5)
+    whole, part = (pool.policies[0] for pool in pools(kit(task), setting=setting, population=HABITS))
+    every, compared = whole.pomdp.model.choices, 0
+    task_states = every.of_task(np.arange(every.task_states))
+    for _ in range(12):
+        row, place = every.initial, part.problem.task.initial
+        for _ in range(15):
+            if every.goal[row]:
+                break
+            belief = np.random.default_rng(compared).dirichlet(np.ones(60)).reshape(1, 6, 10)
+            own = part.rows(np.array([place]))
+            expected, found = whole.q_values(np.array([row]), belief)[0], part.q_values(own, belief)[0]
+            count = int(whole.pomdp.robot_actions[row])
+            np.testing.assert_allclose(found[:count], expected[:count], rtol=0, atol=1e-9)
+            slots = int(every.applicable[row].sum())
+            for name, size in (("chosen", slots), ("weight", count)):
+                one, other = (getattr(policy.pomdp, name) for policy in (part, whole))
+                np.testing.assert_allclose(one[own[0], :size], other[row, :size], rtol=1e-12)
+            compared += 1
+            slot = rng.randrange(slots)
+            row = int(every.targets[row, slot])
+            place = int(part.situations(part.pomdp.model.choices.targets[own, slot])[0])
+            assert part.problem.states(np.array([place])).tolist() == [task_states[row]]
+    assert compared > 60
 
 
 @pytest.mark.parametrize(
-    "case",
-    thinned([("tiny", 1e-9, 2), ("tiny", 1e-9, 0), ("sealed", 1e-6, 0), ("sealed", 1e-6, 2)]),
+    "case", thinned([("tiny", 1e-9, 2), ("tiny", 1e-9, 0), ("sealed", 1e-6, 0), ("sealed", 1e-6, 2)])
 )
 def test_prices_of_steps_on_rows_are_those_on_the_whole_task(case: tuple[str, float, int]) -> None:
     """At each step, for each position of the robot, in all states that are reachable by then."""
     task, error, travel_time = case  # the larger one is solved to 1e-6
-    table = kit(task)
     setting, price = Setting(c_suggest=0.1, travel_time=travel_time), np.array([0.4, 0.0, 0.7, 0.2])
-    whole, part = (
-        Pool.sample(table, 1, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(table), 0)
-    )
-    priced = Priority.of([*whole.policies, *part.policies], setting.travel(2), price)
-    (one,), (other,) = whole.policies, part.policies
+    both, travel, compared = pools(kit(task), setting=setting), setting.travel(2), 0
+    one, other = (pool.policies[0] for pool in both)
+    priced = Priority.of([one, other], travel, price)
     exact, found = one.with_robot(priced), other.with_robot(priced)
-    compared = 0
     for step, layer in enumerate(exact.visits.layout.layers):
         belief = np.repeat(one.pomdp.prior[None], len(layer), axis=0)
         for position in range(2 + priced.longest):
@@ -167,128 +195,91 @@ def test_prices_of_steps_on_rows_are_those_on_the_whole_task(case: tuple[str, fl
             compared += len(layer)
     assert compared > 5 * 2 * 3
     runs = [
-        simulate(pool, Priority.of(pool.policies, setting.travel(2), price), humans=[0, 0], episodes=8, seed=2)
-        for pool in (whole, part)
+        simulate(pool, Priority.of(pool.policies, travel, price), humans=[0, 0], episodes=8, seed=2) for pool in both
     ]
     assert_same(*runs)
 
 
-@pytest.mark.parametrize("policy", thinned(["attention", "none", "priority", "reactive"]))
-def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny: Table, monkeypatch: Any) -> None:
-    monkeypatch.setattr(shared_task, "ROWS", 30)
-    setting = Setting(c_suggest=0.1, knowledge="exact", trust="outcome")
-    whole, part = (
-        Pool.sample(tiny, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
-    )
-    (only,) = part.policies
-    assert isinstance(only, truncated_policy.TruncatedPolicy)
-    options: dict[str, Any] = {"humans": 2, "episodes": 1, "world": "people"}
-    for seed in range(4):
-        assert_same(*(simulate(pool, policy, seed=seed, **options) for pool in (whole, part)), 1)
-        assert len(only.problem.now.pomdp.robot_actions) < len(tiny)
+EVICTED: list[tuple[str, int, Setting, str, dict[str, Any]]] = [
+    ("tiny", 30, Setting(c_suggest=0.1, knowledge="exact", trust="outcome"), "attention", {}),
+    ("sealed", 60, replace(SIGHT, knowledge="exact"), "attention", {"humans": 1}),  # states that are possible stay
+    ("tiny", 25, Setting(c_suggest=0.1, knowledge="exact"), "attention", {"episodes": 256, "jobs": 2}),  # threads
+    *(("tiny", 30, Setting(c_suggest=0.1, knowledge="exact", trust="outcome"), policy, {})
+      for policy in ("none", "priority", "reactive")),
+    # A row may stay while the choices after its suggestions are evicted.
+    *(("sealed", 200, Setting(), policy, {"episodes": 100}) for policy in ("none", "reactive")),
+]  # fmt: skip
 
 
-@pytest.mark.slow
-def test_suggestions_after_which_choices_were_forgotten_are_heard_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A row may stay while the choices after its suggestions are evicted; people act as on the whole task then, too."""
-    monkeypatch.setattr(shared_task, "ROWS", 200)
-    table = kit("sealed")
-    whole, part = (Pool.sample(table, 3, seed=1, states=states, region=EVERYTHING) for states in (len(table), 0))
-    for policy in ("none", "reactive"):
-        assert_same(*(simulate(pool, policy, humans=2, episodes=100, seed=3) for pool in (whole, part)), 100)
-
-
-def test_states_that_are_possible_keep_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beliefs over states are those on the whole task, although rows are evicted between the steps."""
-    monkeypatch.setattr(shared_task, "ROWS", 60)
-    table = kit("sealed")
-    setting = replace(SIGHT, knowledge="exact")
-    whole, part = (
-        Pool.sample(table, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(table), 0)
-    )
+@pytest.mark.parametrize("case", [*EVICTED[:3], *(pytest.param(one, marks=pytest.mark.slow) for one in EVICTED[3:])])
+def test_rows_that_nobody_holds_are_evicted_and_computed_again(case: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    task, rows, setting, policy, options = case
+    monkeypatch.setattr(shared_task, "ROWS", rows)
+    whole, part = pools(kit(task), setting=setting)
+    jobs = options.get("jobs", 1)
     for seed in range(2):
-        assert_same(*(simulate(pool, "attention", humans=1, episodes=1, seed=seed) for pool in (whole, part)), 1)
-    (stamps,) = (policy.problem.now.stamps for policy in part.policies)
-    assert stamps.max() > len(stamps)  # rows were used again
+        run = {"humans": 2, "episodes": 1, "seed": seed} | options
+        assert_same(simulate(whole, policy, **run | {"jobs": 1}), simulate(part, policy, **run))
+        for one in part.policies if jobs == 1 else ():
+            assert len(one.problem.now.pomdp.robot_actions) < len(kit(task))  # type: ignore[attr-defined]
+    stamps = part.policies[0].problem.now.stamps  # type: ignore[attr-defined]
+    assert task == "tiny" or stamps.max() > len(stamps)  # rows were used again
 
 
-def test_threads_do_not_evict_each_others_rows(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shared_task, "ROWS", 25)
-    setting = Setting(c_suggest=0.1, knowledge="exact")
-    whole, part = (
-        Pool.sample(tiny, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
-    )
-    options: dict[str, Any] = {"humans": 2, "episodes": 256, "seed": 3}
-    assert_same(simulate(whole, "attention", **options), simulate(part, "attention", jobs=2, **options), 256)
+LIVE: dict[str, tuple[str, Setting, Population | None]] = {
+    "one goal": ("tiny", Setting(c_suggest=0.05, c_move=0.0), Population(beta=(0.1, 0.5))),
+    "habits": ("tiny", Setting(c_suggest=0.05, c_move=0.0), HABITS),
+    "goals": ("goals of tiny", Setting(c_suggest=0.05, c_move=0.0), None),
+    "questions": ("goals of tiny", Setting(c_suggest=0.2, c_move=0.0, c_ask=0.02), None),
+}
 
 
-def test_a_live_team_keeps_the_rows_of_people_and_decisions(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beliefs, suggestions, what is taken back and later explanations are those of the whole task."""
+@pytest.mark.parametrize("name", LIVE)
+def test_a_live_team_keeps_the_rows_of_people_and_decisions(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beliefs, suggestions, questions, what is taken back and later explanations are those of the whole task."""
+    task, setting, population = LIVE[name]
     monkeypatch.setattr(shared_task, "ROWS", 25)
     said = list[list[Any]]()
     for whole in (True, False):
         monkeypatch.setattr(person_problem, "is_whole", lambda _, whole=whole: whole)
-        desk = Assistant(
-            tiny, ["ann", "bob"], setting=Setting(c_suggest=0.05, c_move=0.0), population=Population(beta=(0.1, 0.5))
-        )  # fmt: skip
-        rng, advice = Random(1), []
-        found: list[Any] = []
+        desk = Assistant(task_of(task), ["ann", "bob"], setting=setting, population=population)
+        rng, advice, found = Random(1), list[Any](), list[Any]()
         for step in range(14):
             advice.append(desk.recommend())
+            if (asked := advice[-1].question) is not None:
+                found.append((asked.person, asked.goal))
+                desk.answer(asked.person, asked.goal == "b")
             for person in desk.people:
-                if actions := desk.person(person).applicable:
-                    desk.observe(person, rng.choice(actions))
-                if step % 5 == 4:
-                    desk.undo(person)
-                found.append((advice[-1].suggestion, desk.person(person).belief.tobytes()))
-        found += [
-            None if one.explanation is None or one.suggestion is None else one.explanation.text() for one in advice
-        ]
+                seen = desk.person(person)
+                found.append((seen.applicable, seen.state, seen.cost_to_go, dict(seen.goals), seen.belief.tobytes()))
+                if seen.applicable:
+                    desk.observe(person, rng.choice(seen.applicable))
+                    if step % 5 == 4:
+                        desk.undo(person)
+        assert isinstance(desk.roster.records[0].problem.policy, TruncatedPolicy) == (not whole)
+        suggested = [one for one in advice if one.suggestion is not None]
+        found += [one.suggestion for one in advice]
+        found += [one.explanation.text() for one in suggested if one.explanation is not None]
         said.append(found)
     assert said[0] == said[1]
-    assert sum(isinstance(one, str) for one in said[0]) >= 3
+    assert len(suggested) >= 3
+    assert (name == "questions") == any(one.question is not None for one in advice)
 
 
 def test_people_of_enumerated_tasks_and_of_others_are_in_one_team(tiny: Table) -> None:
-    setting = Setting(c_suggest=0.2)
-    whole, part = (
-        Pool.sample(tiny, 2, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
+    whole, part = pools(tiny, setting=Setting(c_suggest=0.2))
+    asked = Pool.sample(OnDemand(tiny.task), 3, seed=1, setting=Setting(c_suggest=0.2), region=EVERYTHING)
+    same, *others = (
+        simulate(Pool.joined([whole, other]), "priority", humans=3, episodes=8, seed=2)
+        for other in (whole, part, asked)
     )
-    same, mixed = (
-        simulate(Pool.joined([whole, other]), "priority", humans=3, episodes=8, seed=2) for other in (whole, part)
-    )
-    assert_same(same, mixed)
-
-
-@pytest.mark.parametrize("knowledge", thinned(["own", "exact"]))
-def test_everybody_may_join_late(tiny: Table, knowledge: Any) -> None:
-    """In the first steps no person is present."""
-    late, setting = Schedule.of(2, joins=[3, 1]), Setting(knowledge=knowledge, c_suggest=0.2)
-    whole, part = (
-        episodes(tiny, "attention", states=states, region=EVERYTHING, presence=late, setting=setting)
-        for states in (len(tiny), 0)
-    )
-    assert_same(whole, part)
-
-
-def test_a_trace_names_the_same_actions(tiny: Table) -> None:
-    traces: list[Trace] = [[], []]
-    for trace, states in zip(traces, (len(tiny), 1), strict=True):
-        episodes(tiny, "attention", states=states, trace=trace, setting=Setting(c_suggest=0.2), region=EVERYTHING)
-    assert traces[0] == traces[1]
-    assert {row["suggestion"] is None for row in traces[0]} == {True, False}
-
-
-def test_a_task_that_is_asked_on_demand(tiny: Table) -> None:
-    asked = OnDemand(tiny.task)
-    assert_same(episodes(tiny, "reactive", states=len(tiny)), episodes(asked, "reactive", states=0))
+    for other in others:
+        assert_same(same, other)
 
 
 def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> None:
     """A policy computed on a twentieth of the states is hardly worse, and better than no assistance."""
-    setting = Setting(c_suggest=0.2)
-    whole = Pool.sample(fixed, 2, seed=3, setting=setting)
-    part = Pool.sample(fixed, 2, seed=3, setting=setting, states=0, region=40)
+    whole, part = pools(fixed, region=40, setting=Setting(c_suggest=0.2))
     returns = {
         (name, policy): simulate(pool, policy, humans=2, episodes=40, seed=4).discounted_return
         for name, pool in (("whole", whole), ("part", part))
@@ -301,58 +292,6 @@ def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> Non
     (ground,) = {policy.ground for policy in part.policies}  # type: ignore[attr-defined]
     assert all(len(policy.regions[0].frontier) > 0 for policy in part.policies)  # type: ignore[attr-defined]
     assert len(ground.visited) < len(fixed)
-
-
-@pytest.mark.slow
-def test_a_bound_on_a_region_is_one_on_the_task(tiny: Table) -> None:
-    """With a region of one state, of some and of all states, the bound is at least that on the whole task's known
-    part.
-    """
-    setting = Setting(c_suggest=0.2)
-
-    def bound(**part: int) -> TeamBound:
-        pool = Pool.sample(tiny, 2, seed=3, setting=setting, **part)
-        return upper_bound(pool, window=3, gap=1e-4, seed=1, options=HASTY)
-
-    whole = bound()
-    parts = [bound(states=0, region=region) for region in (1, 6, EVERYTHING)]
-    assert parts[2].upper == pytest.approx(whole.upper, rel=1e-3)
-    assert parts[0].upper > parts[1].upper > whole.upper - whole.slack
-    nobody_errs = 2 * never_erring(tiny.lookup([tiny.initial]), tiny.task.costs, setting.gamma)[0]
-    assert parts[0].upper < nobody_errs - 0.5  # although hardly a state is looked at
-    certificate = parts[1].certify("priority", episodes=500)
-    assert certificate.value == pytest.approx(whole.certify("priority", episodes=500).value, rel=0.05)
-    assert certificate.value < parts[1].upper
-    with pytest.raises(ValueError, match="relaxed_value: expected an enumerated task"):
-        relaxed_value(parts[1])
-
-
-@pytest.mark.slow
-def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Prices tighten the bound, but not below that of the whole task at the same prices; some prices are used."""
-    sizes = replace(truncated_bound.SIZES, hidden=4, pairs=9, pairs_least=9, tolerance=1e-4, sweeps=10_000)
-    monkeypatch.setattr(truncated_bound, "SIZES", sizes)
-    setting, team = Setting(c_suggest=0.1, c_move=0.2), (0, 1, 2)
-    pools = [Pool.sample(tiny, 3, seed=0, setting=setting, **part) for part in ({"states": 0}, {})]
-    price = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
-    values = []
-    for pool in pools:
-        groups = groups_of(pool, team, setting.travel(3), len(price), with_outer=True)
-        assert all((group.problem.between is not None) == (pool is pools[0]) for group in groups)
-        parts = [(visits := group.at(with_actions(price)), group.best(visits)) for group in groups]
-        solved = [solve(visits.pomdp, gap=1e-4, best=best) for visits, best in parts]
-        assert all(one.lower <= one.upper for one in solved)
-        values.append([one.upper for one in solved])
-        busy = sum(group.simulated(with_actions(price), len(price), 4000, 1)[0][0] for group in groups)
-        values.append(busy)
-    part, part_busy, whole, busy = values
-    assert (np.array(part) > np.array(whole) - 1e-3).all()
-    assert np.sum(part) < np.sum(whole) + 1.0
-    np.testing.assert_allclose(part_busy, busy, atol=0.06)  # the larger part is all of the task
-    with_prices, without = (upper_bound(pools[0], window=window, seed=1, options=HASTY) for window in (None, 0))
-    assert len(with_prices.price)
-    assert with_prices.upper < without.upper - 0.1
-    assert not len(upper_bound(pools[0], seed=1, options=replace(HASTY, price_memory_mb=1e9)).price)
 
 
 def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -389,14 +328,47 @@ def silent(pomdp: AssistPOMDP) -> QMDP:
 def test_a_solver_of_ones_own_acts_in_the_states_of_a_truncated_task(tiny: Table, knowledge: Any) -> None:
     """With all states its policy is that on the whole task; with few, suggestions are made beyond its states only."""
     setting = Setting(c_suggest=0.05, c_move=0.05, gamma=0.9, knowledge=knowledge)
-    own: dict[str, Any] = {"seed": 1, "setting": setting, "solver": partial(solve, gap=1e-4)}
-    whole, cut = Pool.sample(tiny, 3, **own), Pool.sample(OnDemand(tiny.task), 3, region=100, **own)
-    runs = [simulate(pool, "attention", humans=2, episodes=40, seed=3) for pool in (whole, cut)]
-    np.testing.assert_array_equal(runs[0].actions, runs[1].actions)
-    np.testing.assert_allclose(runs[0].discounted_return, runs[1].discounted_return, rtol=1e-9)
-    assert runs[0].interventions.sum() > 20
+    options: dict[str, Any] = {"humans": 2, "episodes": 40, "seed": 3}
+    whole, cut = pools(tiny, setting=setting, solver=partial(solve, gap=1e-4))
+    assert_same(*(simulate(pool, "attention", **options) for pool in (whole, cut)))
     said = []
     for region in (1, 8, 100):
         pool = Pool.sample(OnDemand(tiny.task), 3, seed=1, setting=setting, solver=silent, region=region)
-        said.append(int(simulate(pool, "attention", humans=2, episodes=40, seed=3).interventions.sum()))
+        said.append(int(simulate(pool, "attention", **options).interventions.sum()))
     assert said[0] > said[1] > said[2] == 0
+
+
+def test_who_executes_meets_people_without_memory(tiny: Table) -> None:
+    with pytest.raises(ValueError, match="execute: expected people without memory"):
+        pools(tiny, population=HABITS, setting=Setting(execute=True))
+
+
+def test_the_size_of_a_part_counts_goals_and_memory() -> None:
+    goals = three_goals("sealed")
+    table = goals.tables["a"]
+    assert (default_size(table), default_size(goals)) == (20_000, 20_000 // 3)
+    assert states_within(4000, range(50), 12) > 1_000 > states_within(4000, range(50), 100)
+    values = 4 * len(goals) * 60 * 8 / 1e6  # of enumerated policies for three people, and of a copy
+    found = Pool.sample(goals, 3, seed=1, memory_limit_mb=values / 2)
+    assert isinstance(found.policies[0], TruncatedPolicy)
+    policies = Pool.sample(table, 3, seed=1, states=1, memory_limit_mb=1.0).policies
+    assert {policy.ground.size for policy in policies} == {states_within(1.0, [table], 3)} == {41}  # type: ignore[attr-defined]
+    for task, limit, said in ((goals, 0.5, "3 people with 3 goals, on as few as 20 states, take about 1 MB of memory"),
+                              (table, 0.4, "3 people, on as few as 20 states, take about 0 MB of memory")):  # fmt: skip
+        with pytest.raises(LimitError, match=f"policies for {said}"):
+            Pool.sample(task, 3, seed=1, states=1, memory_limit_mb=limit)
+
+
+def test_a_problem_has_as_many_states_as_a_solver_can_keep() -> None:
+    goals, sizes = three_goals("sealed"), []
+    for limit in (np.inf, 17.0, 1.0):
+        found = PersonProblem.of(goals, states=100, memory_limit_mb=limit)
+        assert found.pomdp.frontier is not None
+        sizes.append(len(found.states))
+        if limit > 1:
+            depth = depth_within(found.pomdp, limit)
+            assert first_bounds_bytes(found.pomdp, depth) <= 0.8e6 * limit
+            assert depth == (500 if limit == np.inf else 125)
+    assert sizes[0] > sizes[1] > sizes[2] > 20
+    bounds = solve(found.pomdp, gap=1.0, memory_limit_mb=20.0)
+    assert bounds.lower < bounds.upper

@@ -14,10 +14,9 @@ from assist.people import Goals
 from assist.people.neighbourhood import NOBODY_SEES, Helped, Neighbourhood
 from assist.people.neighbours import SEEN_RULES, Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
 from assist.person import ObservationModel, Policy, Setting
-from assist.team import Pool, TeamAction, TeamState
+from assist.team import Pool, TeamAction, TeamState, simulate
 from assist.team.common_random_numbers import CommonRandomNumbers
 from assist.team.outlook import outlook
-from assist.team.simulate import simulate
 from assist.team.trace import Trace
 from planner import OnDemand, Table, sweep_goals
 

@@ -17,28 +17,15 @@ from scipy.optimize import brentq
 from teams import equal, reachable, run, state
 
 from assist import compare
-from assist.people.choices import Choices
-from assist.people.user_code import UserCodeError
+from assist.people import Choices, UserCodeError
+from assist.person import QMDP, AssistPOMDP, Policy, Robot, Setting, Travel, evaluate, qmdp
 from assist.person.fleet import Fleet
 from assist.person.known_states import KnownStates
-from assist.person.mdp_values import evaluate
-from assist.person.policy import Policy
-from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import QMDP, qmdp
-from assist.person.robots import Robot
-from assist.person.settings import Setting
-from assist.person.travel import Travel
-from assist.team.attention import AttentionSwitching
+from assist.team import AttentionSwitching, Pool, Priority, Schedule, UserPolicy, Whittle, simulate
 from assist.team.attention_never import AttentionAgainstNever
-from assist.team.baselines import NoAssistance, Reactive
+from assist.team.baselines import Reactive
 from assist.team.by_policy import ByPolicy
-from assist.team.policies import UserPolicy
-from assist.team.pool import Pool
-from assist.team.priority import Priority
-from assist.team.schedule import Schedule
-from assist.team.simulate import simulate
 from assist.team.state import BASE, NOBODY, TeamAction, TeamState
-from assist.team.whittle import Whittle
 from planner import Table, cost_to_go, load, sweep
 
 
@@ -320,15 +307,6 @@ def test_attention_switching_as_defined(people: Pool, robots: int, never: bool, 
     is_best(team, switching(team), score, best)
 
 
-@pytest.mark.parametrize("robots", [1, 2])
-def test_no_assistance_is_no_action(people: Pool, robots: int) -> None:
-    team = random_state(people, 0, robots, equally_far=True)
-    action = NoAssistance()(team)
-    for array, none in ((action.person, NOBODY), (action.action, 0)):
-        assert (array.shape, array.dtype) == (team.location.shape, np.dtype(np.int64))
-        assert (array == none).all()
-
-
 def test_what_a_policy_needs_is_computed_beforehand(tiny_choices: Choices) -> None:
     solved: list[AssistPOMDP] = []
 
@@ -400,17 +378,6 @@ def test_the_robot_goes_to_the_largest_index_and_not_for_less_than_the_way(tiny:
     assert staying[0] == 0
     far = state(pool, [pool.choices(0).initial] * 3, travel=Setting(c_move=50).travel(3))
     assert Whittle.of(pool.policies, far.travel)(far).person[0] == NOBODY
-
-
-def test_it_helps_as_much_as_priority_does(tiny: Table) -> None:
-    pool = Pool.sample(tiny, 4, seed=0, setting=Setting(c_suggest=0.1, c_move=0.1))
-    returns = {
-        name: simulate(pool, name, humans=4, episodes=60, seed=1).discounted_return
-        for name in ("none", "priority", "whittle")
-    }
-    difference = returns["whittle"] - returns["priority"]
-    assert returns["whittle"].mean() > returns["none"].mean() + 1
-    assert abs(difference.mean()) < 0.02 * abs(returns["priority"].mean())
 
 
 @pytest.mark.parametrize("prices", [[], [0.2, 0.1], [-1.0, 0.0]])

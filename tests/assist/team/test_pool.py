@@ -16,10 +16,8 @@ from teams import reachable, run
 
 from assist.declare.declared import Number, declared
 from assist.people import Choices, Human, Population, perceived_cost
-from assist.person import AssistPOMDP, ObservationModel, Policy, Setting
-from assist.person.qmdp import qmdp
-from assist.team.pool import Pool
-from assist.team.simulate import simulate
+from assist.person import AssistPOMDP, ObservationModel, Policy, Setting, qmdp
+from assist.team import Pool, simulate
 from assist.team.trace import Trace
 from planner import LimitError, Table
 

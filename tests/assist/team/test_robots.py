@@ -21,23 +21,20 @@ from pydantic import Field
 from scipy.sparse import csr_array
 from teams import state
 
-from assist.certify import BoundOptions, coupled, upper_bound
+from assist.certify import BoundOptions, upper_bound
 from assist.certify.action_prices import paid, supply
-from assist.certify.prices import groups_of
 from assist.certify.relaxed_value import relaxed_value
 from assist.cli.options.config import read_config
 from assist.cli.serve import serve
 from assist.declare.declared import Number, Text, Whole, declared, plain
 from assist.people import NOTHING, Choices, Population, UserCodeError
-from assist.person import AttentionSubproblem, OfRobots, Robot, Setting, Travel
+from assist.person import OfRobots, Robot, Setting, Travel, qmdp
 from assist.person.fleet import Fleet
 from assist.person.known_states import KnownStates
-from assist.person.qmdp import qmdp
 from assist.person.robots import Best
 from assist.studies.protocol import read
-from assist.team import BASE, NOBODY, POLICIES, Episodes, Pool, TeamAction, TeamState, assigned
+from assist.team import BASE, NOBODY, POLICIES, Episodes, Pool, TeamAction, TeamState, assigned, simulate
 from assist.team.action_check import check
-from assist.team.simulate import simulate
 from assist.team.trace import Trace
 from planner import InputFileError, sweep
 
@@ -138,69 +135,25 @@ def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:
         check(under_way, TeamAction(np.array([[NOBODY, 2]]), np.zeros((1, 2), dtype=np.int64)))
 
 
-def as_agents(visits: AttentionSubproblem, people: int) -> coupled.Agents:
-    """Return people whose beta and theta the robots know, each with a robot that comes and goes."""
-    pomdp, choices = visits.pomdp, visits.pomdp.model.choices
-    (known,) = np.flatnonzero(pomdp.prior)
-    shape = (pomdp.robot_costs.shape[1], len(pomdp.robot_actions))
-    P, R = np.zeros((*shape, shape[1])), np.zeros(shape)
-    for x, r in itertools.product(range(shape[1]), range(shape[0])):
-        if pomdp.ends[x] or r >= pomdp.robot_actions[x]:
-            P[r, x, x] = 1.0
-            continue
-        R[r, x], place = -pomdp.robot_costs[x, r], pomdp.afterstate[x, r]
-        for a in np.flatnonzero(choices.applicable[place]):
-            chance = pomdp.likelihood(np.array([x]), np.array([r]), np.array([a])).reshape(-1)[known]
-            P[r, x, choices.targets[place, a]] += chance
-            R[r, x] -= chance * choices.costs[place, a]
-    allowed = np.arange(shape[0])[:, None] < pomdp.robot_actions
-    start = np.full(people, choices.initial)
-    return coupled.Agents(
-        [P], [R], visits.attended().T[None], start, pomdp.gamma, allowed[None], np.zeros(people, dtype=int)
-    )
-
-
-@pytest.mark.parametrize("case", thinned([(2, 3), (1, 3), (2, 0)], 3))
-def test_samples_are_not_below_the_joint_optimum(case: tuple[int, int]) -> None:
-    """Three alike people whose beta and theta are known, so that all joint states can be enumerated."""
-    robots, window = case
-    setting = Setting(
-        knowledge="exact", gamma=0.9, c_suggest=0.05, c_move=0.05, robots=robots, trust="constant", lapse=0.0
-    )
-    pool = known_people(setting, 3)
-    (group,) = groups_of(pool, (0, 1, 2), setting.travel(3), 0)
-    best = coupled.joint_optimum(as_agents(group.at(np.zeros((3, 0))), 3), robots)
+@pytest.mark.parametrize("window", thinned([3, 0]))
+def test_samples_are_not_below_the_joint_optimum(window: int) -> None:
+    """Two alike people whose beta and theta are known, so that all joint states can be enumerated."""
+    setting = Setting(knowledge="exact", gamma=0.9, c_suggest=0.05, c_move=0.05, trust="constant", lapse=0.0)
+    pool = known_people(setting)
+    best = joint_optimum(pool, setting.fleet.robots)
     found = upper_bound(pool, window=window, gap=1e-6, paths=40, options=BoundOptions(10, 200))
     assert found.sampled is not None
-    assert found.sampled.mean + 3 * found.sampled.stderr >= best.value
-    assert found.proven >= best.value
-    assert found.sampled.mean < found.proven - 0.3 * (found.proven - best.value)  # of what prices lose
-    attended = found.policy()
-    certificate = found.certify(attended, episodes=2000)
-    assert certificate.value - 3 * certificate.value_stderr <= best.value
+    assert found.sampled.mean + 3 * found.sampled.stderr >= best
+    assert found.proven >= best
+    assert found.sampled.mean < found.proven - 0.3 * (found.proven - best)  # of what prices lose
+    certificate = found.certify(found.policy(), episodes=2000)
+    assert certificate.value - 3 * certificate.value_stderr <= best
 
 
 def test_nothing_is_sampled_where_no_robot_has_to_choose(strangers: Pool) -> None:
     found = upper_bound(of(strangers, 3), (0, 1, 2), paths=30, gap=1e-2)
     assert found.sampled is None
     assert found.upper == found.proven
-
-
-def test_commands_with_several_robots(tmp_path: Path) -> None:
-    trace = tmp_path / "trace.jsonl"
-    costs = ("--c-suggest", 0.1, "--c-move", 0.2, "--set", "knowledge=exact", "--json")
-    found = invoke(
-        "simulate", "kitting/tiny", "--humans", 3, "--robots", 2, "--policy", "priority", "--episodes", 20, *costs,
-        "--trace", trace,
-    )  # fmt: skip
-    assert json.loads(found.stdout)["setting"]["robots"] == [{}, {}]
-    assert len(json.loads(trace.read_text().splitlines()[0])["robot_places"]) == 2
-    found = invoke(
-        "bound", "kitting/tiny", "--humans", 2, "--robots", 2, "--policy", "priority", "--value-episodes", 500,
-        "--gap", 0.05, *costs,
-    )  # fmt: skip
-    record = json.loads(found.stdout)
-    assert record["value"] - 3 * record["value_stderr"] <= record["upper"]
 
 
 def people(robots: int | tuple[Robot, ...], size: int = 3, **setting: Any) -> Pool:
@@ -491,24 +444,6 @@ def test_suggestions_are_made_by_the_robot_for_which_they_cost_least() -> None:
         assert action.action[0, 1] > 0
 
 
-@pytest.mark.slow
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(
-    robots=st.lists(kinds_of_robots, min_size=2, max_size=3).map(tuple), travel_time=st.sampled_from([0.0, 1.0]),
-    size=st.integers(2, 3), seed=st.integers(0, 99),
-)  # fmt: skip
-def test_no_policy_of_different_robots_exceeds_the_bound(
-    robots: tuple[Robot, ...], travel_time: float, size: int, seed: int
-) -> None:
-    pool = people(robots, size, travel_time=travel_time)
-    bound = upper_bound(pool, window=4, gap=1e-2, options=BoundOptions(price_episodes=100), seed=seed)
-    for name in (name for name in POLICIES if name != "rollout"):
-        value = bound.certify(name, episodes=1000, seed=seed)
-        assert value.value - 4 * value.value_stderr <= bound.upper
-    mean, error = relaxed_value(bound, episodes=1000)
-    assert mean - 4 * error <= bound.upper
-
-
 @given(
     robots=st.lists(st.tuples(*[st.sampled_from([0.0, 0.125, 0.5])] * 2, st.booleans()), min_size=1, max_size=3),
     price=st.tuples(*[st.sampled_from([0.0, 0.0625, 0.125, 0.25, 0.5625, 0.875])] * 3),
@@ -585,39 +520,33 @@ def test_in_joined_pools_robots_differ_by_the_same_costs() -> None:
 LIST = "[{execute = true, c_execute = 0.1}, {c_suggest = 0.2}]"
 
 
-def test_commands_with_different_robots() -> None:
+def test_commands_and_files_with_different_robots(tmp_path: Path) -> None:
     costs = ("--c-suggest", 0.3, "--c-move", 0.2, "--set", "knowledge=exact", "--robots", LIST, "--json")
-    found = invoke("simulate", "kitting/tiny", "--humans", 2, "--policy", "priority", "--episodes", 20, *costs)
-    record = json.loads(found.stdout)
+    options = ("kitting/tiny", "--humans", 2, "--policy", "priority", *costs)
+    record = json.loads(invoke("simulate", *options, "--episodes", 20, "--trace", tmp_path / "trace.jsonl").stdout)
     robots = [{"execute": True, "c_execute": 0.1}, {"c_suggest": 0.2}]
     assert record["setting"]["robots"] == robots
     assert record["policies"][0]["executions"]["mean"] > 0
-    found = invoke("simulate", "kitting/tiny", "--humans", 2, "--robots", "[{c_sugest = 1}]")
-    assert found.exit_code == 2
-    assert "robots[1].c_sugest: unknown; did you mean 'c_suggest'?" in found.stderr
-    found = invoke("simulate", "kitting/tiny", "--humans", 2, "--robots", "two")
-    assert '--robots: "two"; expected a number of robots, or a list of one table or more' in found.stderr
-    found = invoke("serve", "kitting/tiny", "--humans", 2, "--robots", LIST)
-    assert found.exit_code == 2
-    assert "execute: expected a robot that suggests" in found.stderr
-
-
-def test_files_with_different_robots(tmp_path: Path) -> None:
-    study = tmp_path / "study.toml"
-    study.write_text(f'instances = ["kitting/tiny"]\n[setting]\nrobots = {LIST}\n')
-    ((_, setting),) = read(study).conditions[0].settings
-    assert setting.robots == (Robot(execute=True, c_execute=0.1), Robot(c_suggest=0.2))
-    for wrong, said in (
-        ("true", "a number of robots, or a list of one table or more"),
-        ("[{c_move = -1}]", r"robots\[1\].c_move"),
+    assert len(json.loads((tmp_path / "trace.jsonl").read_text().splitlines()[0])["robot_places"]) == 2
+    record = json.loads(invoke("bound", *options, "--value-episodes", 500, "--gap", 0.05).stdout)
+    assert record["value"] - 3 * record["value_stderr"] <= record["upper"]
+    for command, wrong, said in (
+        ("simulate", "[{c_sugest = 1}]", "robots[1].c_sugest: unknown; did you mean 'c_suggest'?"),
+        ("simulate", "two", '--robots: "two"; expected a number of robots, or a list of one table or more'),
+        ("serve", LIST, "execute: expected a robot that suggests"),
     ):
-        study.write_text(f'instances = ["kitting/tiny"]\n[setting]\nrobots = {wrong}\n')
-        with pytest.raises(InputFileError, match=said):
-            read(study)
-    config = tmp_path / "serve.toml"
-    for text, expected in (("2", 2), (LIST, [{"execute": True, "c_execute": 0.1}, {"c_suggest": 0.2}])):
+        refused = invoke(command, "kitting/tiny", "--humans", 2, "--robots", wrong)
+        assert (refused.exit_code, said in refused.stderr) == (2, True), refused.stderr
+    study, config = tmp_path / "study.toml", tmp_path / "serve.toml"
+    for text, expected in (("2", [{}, {}]), (LIST, robots)):
+        study.write_text(f'instances = ["kitting/tiny"]\n[setting]\nrobots = {text}\n')
+        ((_, setting),) = read(study).conditions[0].settings
+        assert plain(setting)["robots"] == expected
         config.write_text(f"[setting]\nrobots = {text}\n")
-        assert read_config(config, serve.params)["setting"]["robots"] == expected
+        assert read_config(config, serve.params)["setting"]["robots"] == (2 if text == "2" else robots)
+    study.write_text('instances = ["kitting/tiny"]\n[setting]\nrobots = [{c_move = -1}]\n')
+    with pytest.raises(InputFileError, match=r"robots\[1\].c_move"):
+        read(study)
 
 
 def known_people(setting: Setting, size: int = 2) -> Pool:

@@ -12,9 +12,8 @@ from test_unknown_goals import three_goals
 
 from assist.people import Choices, Goals, Neighbours, SeenFollowed
 from assist.person import ObservationModel, Setting
-from assist.team import Pool, Rollout, RolloutOptions, TeamAction, TeamState
+from assist.team import Pool, Rollout, RolloutOptions, TeamAction, TeamState, simulate
 from assist.team.rollout import _Paths
-from assist.team.simulate import simulate
 from planner import Table
 
 TEAM = [0, 1, 2]

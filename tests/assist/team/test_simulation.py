@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -14,37 +13,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from teams import equal, run
 
-from assist.people.belief import ImpossibleObservationError
-from assist.people.choices import Choices
+from assist.people import Choices, HumanModel, ImpossibleObservationError, Population
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
-from assist.people.human import HumanModel
-from assist.people.ranges import Population
+from assist.person import AssistPOMDP, OfRobots, Setting, Travel, qmdp
 from assist.person.beliefs import PersonModel
 from assist.person.dynamics import act
 from assist.person.known_states import KnownStates
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.people_arrays import Minds, PeopleArrays
-from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import Acts
-from assist.person.qmdp import qmdp
-from assist.person.robots import OfRobots
-from assist.person.settings import Setting
-from assist.person.travel import Travel
-from assist.team.attention import AttentionSwitching
-from assist.team.baselines import NoAssistance
-from assist.team.episodes import Episodes
+from assist.team import POLICIES, AttentionSwitching, Episodes, Pool, Schedule, simulate
 from assist.team.illustration import typical
-from assist.team.policy_names import POLICIES
-from assist.team.pool import Pool
-from assist.team.schedule import Schedule
-from assist.team.simulate import simulate
 from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.team.trace import Trace
 from planner import LimitError, Table
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
+def test_an_episodes_records_and_trace_agree(pool: Pool, tiny: Table, name: str) -> None:
     trace: Trace = []
     episodes = run(pool, name, 3, 1 if name == "rollout" else 4, 1, trace=trace)
     assert [one.people for one in episodes] == [one.people for one in run(pool, "none", 3, 4, 1)][: len(episodes)]
@@ -65,6 +51,12 @@ def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
             assert episode.costs[k] == sum(row["cost"] for row in own)
             assert (own[-1]["cost_to_go_after"] == 0) == episode.finished[k]
             assert own[0]["theta"] == episode.theta[k]
+            x = tiny.initial
+            for row in own:  # what is done and suggested is possible in the task
+                options = tiny.space.options(x)
+                assert row["suggestion"] is None or row["suggestion"] in options
+                x = options[row["action"]]
+            assert tiny.space.goal[x] == episode.finished[k]
 
 
 @pytest.mark.parametrize(
@@ -96,11 +88,6 @@ def test_simulations_that_cannot_be(pool: Pool, arguments: dict[str, Any], compl
         simulate(pool, given.pop("policy"), **given)
 
 
-def test_a_task_without_people_is_no_pool(tiny: Table) -> None:
-    with pytest.raises(TypeError, match="expected people at a task, a Pool, not what is a Table"):
-        simulate(tiny, "none", humans=2, episodes=2, seed=0)  # type: ignore[arg-type]
-
-
 def test_any_kind_of_integer_and_a_generator_will_do(pool: Pool) -> None:
     plain = simulate(pool, "attention", humans=2, episodes=3, seed=4)
     typed = simulate(pool, "attention", humans=np.int64(2), episodes=np.int32(3), seed=np.uint8(4))
@@ -118,37 +105,6 @@ def test_more_episodes_than_fit_the_memory_are_refused(pool: Pool) -> None:
         simulate(pool, "none", humans=2, episodes=99_999_999_999, seed=0)
 
 
-def test_the_front_door(tiny: Table) -> None:
-    """A pool from a table, a policy by its name or as a function, and a summary that can be printed."""
-    pool = Pool.sample(tiny, 12, seed=1)
-    said = str(simulate(pool, "attention", humans=3, episodes=20, seed=1).summary())
-    number = r"-?\d+\.\d\d ± \d\.\d\d"
-    assert re.fullmatch(
-        rf"attention: actions per person {number}, suggestions {number}, moves {number}, return {number} "
-        r"\(20 episodes\)", said
-    )  # fmt: skip
-
-    def nobody(team: TeamState) -> TeamAction:
-        return NoAssistance()(team)
-
-    alone = simulate(pool, nobody, humans=1, episodes=1, seed=0).summary()
-    assert re.fullmatch(r"nobody: actions per person \d+\.00, .* \(1 episode\)", str(alone))
-
-
-def test_traced_actions_are_possible_in_the_task(tiny: Table, pool: Pool) -> None:
-    trace: Trace = []
-    simulate(pool, pool.policy("attention"), humans=2, episodes=10, seed=2, trace=trace)
-    for episode in range(10):
-        for place in (0, 1):
-            own = [row for row in trace if row["episode"] == f"policy-{episode}" and row["place"] == place]
-            end = tiny.space.follow([row["action"] for row in own])
-            assert tiny.space.goal[end]
-            x = tiny.initial
-            for row in own:
-                assert row["suggestion"] is None or row["suggestion"] in tiny.space.options(x)
-                x = tiny.space.options(x)[row["action"]]
-
-
 def test_episodes_do_not_depend_on_the_number_of_processes(pool: Pool) -> None:
     alone = run(pool, "attention", 3, 100, 7)
     parts = [list(range(0, 30)), list(range(30, 100))]
@@ -158,28 +114,6 @@ def test_episodes_do_not_depend_on_the_number_of_processes(pool: Pool) -> None:
             for part in parts
         ]
         assert equal(alone, Episodes.joined([r.result() for r in runs]))
-
-
-def test_unaided_people_choose_as_the_model_says(tiny_choices: Choices) -> None:
-    """First choices of many episodes compared with the Boltzmann probabilities of the person's own costs."""
-    population = Population(beta=(1.0, 1.0), theta=(0.6, 0.6), sigma=(1.0, 1.0))
-    pool = Pool.sample(tiny_choices, 1, seed=9, population=population, setting=Setting(max_steps=1))
-    trace: Trace = []
-    simulate(pool, NoAssistance(), humans=1, episodes=1000, seed=0, trace=trace)
-    first = [row["action"] for row in trace if row["step"] == 0]
-    human, start = pool.people[0], tiny_choices.initial
-    for slot in np.flatnonzero(tiny_choices.applicable[start]):
-        q = tiny_choices.costs[start] + human.h[tiny_choices.targets[start]]
-        p = choice(np.where(tiny_choices.applicable[start], q, np.inf), tiny_choices.applicable[start], 1.0)[slot]
-        share = np.mean([action == tiny_choices.name(start, int(slot)) for action in first])
-        assert abs(share - p) < 4 * np.sqrt(p * (1 - p) / 1000)
-
-
-def test_episodes_are_cut_off(tiny_choices: Choices) -> None:
-    pool = Pool.sample(tiny_choices, 2, seed=0, setting=Setting(max_steps=4))
-    episodes = simulate(pool, NoAssistance(), humans=2, episodes=5, seed=0)
-    assert all(e.steps == 4 and e.actions == (4, 4) and not any(e.finished) for e in episodes)
-    assert episodes.summary().cut_off == 5
 
 
 def test_summary_by_hand(pool: Pool) -> None:
@@ -192,31 +126,6 @@ def test_summary_by_hand(pool: Pool) -> None:
     assert summary.interventions == (2.0, pytest.approx(2 / np.sqrt(3)))
     assert summary.moves == (1.0, 0.0)
     assert typical(made, replace(made, actions=np.full((3, 2), 20))).actions == (6, 12)
-
-
-@costly(4, 20)
-@given(st.integers(0, 10_000), st.integers(1, 5), st.sampled_from(POLICIES))
-def test_laws_of_every_episode(pool: Pool, seed: int, humans: int, name: str) -> None:
-    seen: list[TeamState] = []
-    inner = pool.policy(name)
-
-    def watched(team: TeamState) -> TeamAction:
-        seen.append(team)
-        action = inner(team)
-        goes = np.nonzero(action.person != NOBODY)
-        assert team.active[goes[0], action.person[goes]].all()
-        return action
-
-    watched.uses_belief = inner.uses_belief  # type: ignore[attr-defined]
-    for episode in simulate(pool, watched, humans=humans, episodes=3, seed=seed):
-        assert sum(episode.helped) == episode.interventions
-        assert all(actions >= 6 for actions in episode.actions)  # no episode is shorter than the exact cost-to-go
-        assert episode.discounted_return <= 0
-        assert episode.moves <= episode.steps
-        assert episode.interventions <= episode.steps
-    for team in seen:
-        if team.belief is not None:
-            np.testing.assert_allclose(team.belief.sum(axis=(2, 3)), 1, atol=1e-9)
 
 
 def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
@@ -338,6 +247,8 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
 
     def watched(team: TeamState) -> TeamAction:
         action = inner(team)
+        if team.belief is not None:
+            np.testing.assert_allclose(team.belief.sum(axis=(2, 3)), 1, atol=1e-9)
         decided.append((team.step, int(team.location[0, 0]), int(action.person[0, 0]), int(action.action[0, 0])))
         return action
 
@@ -362,6 +273,7 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
         expected = travel.c_move[0] * travel.distance[location, person] + 0.5 * (said > 0)
         assert paid.pop((step, person)) == pytest.approx(expected, abs=1e-9)
     assert episode.moves == moves
+    assert sum(episode.helped) == episode.interventions
     assert all(rest == pytest.approx(0, abs=1e-9) for rest in paid.values())
     for k in range(humans):
         own = [row["step"] for row in trace if row["place"] == k]
@@ -407,6 +319,7 @@ def test_people_who_left_are_not_cut_off(pool: Pool) -> None:
         presence = Schedule.of(2, leaves=[leaves, leaves])
         episodes = simulate(short, "none", humans=2, episodes=20, seed=0, presence=presence)
         assert not episodes.finished.any()
+        assert all(one.actions == (min(leaves, 3),) * 2 for one in episodes)
         assert episodes.summary().cut_off == cut
 
 

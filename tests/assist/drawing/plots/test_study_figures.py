@@ -1,12 +1,14 @@
 from __future__ import annotations
 
-from itertools import combinations, pairwise
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT, thinned
+from conftest import ROOT
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
@@ -20,9 +22,8 @@ from assist.drawing.plots.study import COMPARISONS
 from assist.drawing.plots.style import LOOKS, PolicyLook, looks, save_for_pages
 from assist.people import Choices, Goals, Neighbours, Population
 from assist.person.settings import Setting
-from assist.team import AttentionSwitching, NoAssistance, Pool, beliefs_of_episode
+from assist.team import AttentionSwitching, NoAssistance, Pool, beliefs_of_episode, simulate
 from assist.team.illustration import sights
-from assist.team.simulate import simulate
 from assist.team.trace import Trace
 from planner import load, sweep_goals
 
@@ -114,18 +115,12 @@ def test_a_policy_looks_the_same_in_every_company() -> None:
     for name in ("our-own", "bandit"):
         assert looks([name])[name] == looks(["none", "reactive", "attention", name])[name]
     assert looks(["b", "a"]) == looks(["a", "b", "a"])
-
-
-@pytest.mark.parametrize("names", [["p1", "p2", "p3", "p4"], ["oracle", "bandit", "random", "mine"]])
-def test_unknown_policies_have_colours_of_their_own(names: list[str]) -> None:
-    found = looks([*LOOKS, *names])
-    assert list(found) == [*LOOKS, *sorted(names)]
-    assert len({look.color for look in found.values()}) == len(found)
-    # Policies can be distinguished without colours: every colour has another marker.
-    assert len({look.marker for look in found.values()}) == len(found)
-
-
-def test_many_unknown_policies_look_different() -> None:
+    for names in (["p1", "p2", "p3", "p4"], ["oracle", "bandit", "random", "mine"]):
+        found = looks([*LOOKS, *names])
+        assert list(found) == [*LOOKS, *sorted(names)]
+        assert len({look.color for look in found.values()}) == len(found)
+        # Policies can be distinguished without colours: every colour has another marker.
+        assert len({look.marker for look in found.values()}) == len(found)
     assert len(set(looks([f"policy-{n}" for n in range(12)]).values())) == 12
     assert len(looks([f"policy-{n}" for n in range(40)])) == 40
 
@@ -159,17 +154,6 @@ def test_team_sizes_that_were_simulated_are_marked_and_no_others(team_sizes: pd.
     for axis in figure.axes:
         low, high = axis.get_xlim()
         assert [tick for tick in axis.get_xticks() if low <= tick <= high] == sorted(sizes)
-
-
-@pytest.mark.slow
-def test_names_beside_lines_do_not_cover_each_other(team_sizes: pd.DataFrame) -> None:
-    together = team_sizes.assign(mean=10.0, low=9.0, high=11.0)
-    figure = study_figures.team_size_figure(together)
-    figure.draw_without_rendering()
-    for axis in figure.axes:
-        assert len(axis.texts) == len(POLICIES)
-        assert overlaps(list(axis.texts)) == []
-        assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in axis.texts)
 
 
 def test_categories_are_drawn_as_given_beside_what_was_published(categories: pd.DataFrame) -> None:
@@ -215,16 +199,6 @@ def test_the_trade_off_has_every_point_and_the_papers(costs: pd.DataFrame) -> No
     assert not any(one.get_marker() == "*" for one in without.axes[0].get_lines())
 
 
-@pytest.mark.slow
-def test_costs_beside_points_do_not_cover_each_other(costs: pd.DataFrame) -> None:
-    own = costs[costs["policy"] == "attention"]
-    near = [own.assign(policy=f"p{n}", interventions=own["interventions"] + 0.1 * n) for n in range(3)]
-    figure = trade_off_figure(pd.concat([costs, *near]))
-    figure.draw_without_rendering()
-    assert len(figure.axes[0].texts) == 12
-    assert overlaps(list(figure.axes[0].texts)) == []
-
-
 def test_each_cost_of_moving_has_a_line(costs: pd.DataFrame) -> None:
     own = costs[costs["policy"] == "attention"]
     grid = pd.concat([own.assign(c_move=0.0), own.assign(c_move=1.0, actions=own["actions"] + 1)])
@@ -255,47 +229,34 @@ def test_benefits_are_drawn_as_given() -> None:
 
 
 def test_what_was_believed_is_what_the_episode_had(pool: Pool) -> None:
-    policy, trace = AttentionSwitching(), Trace()
-    [expected] = simulate(pool, policy, humans=2, episodes=[5], seed=3, name="attention", trace=trace)
-    episode, rows = beliefs_of_episode(pool, policy, humans=2, episode=5, seed=3, name="attention")
-    assert episode == expected
-    assert sum(row["suggestion"] for row in rows) == episode.interventions > 0
-    assert [(row["place"], row["step"], row["theta_true"], row["robot_here"]) for row in rows] == [
-        (row["place"], row["step"], row["theta"], row["place"] in row["robot_places"]) for row in trace
-    ]
-    for place in range(2):
-        own = [row for row in rows if row["place"] == place]
-        assert len(own) == episode.actions[place]
-        assert {row["beta_true"] for row in own} == {episode.beta[place]}
-        prior, grid = pool.policies[0].pomdp.prior, pool.policies[0].pomdp.grid
-        first = own[0]
-        assert first["beta_mean"] == pytest.approx(grid.beta @ prior.sum(axis=1))
-        assert first["theta_mean"] == pytest.approx(grid.theta @ prior.sum(axis=0))
-        # People's beta is uniform from 0.1 to 1.5.
-        assert (first["beta_low"], first["beta_high"]) == pytest.approx((0.1 + 0.05 * 1.4, 1.5 - 0.05 * 1.4))
-        assert all(row["beta_low"] <= row["beta_mean"] <= row["beta_high"] for row in own)
-        for one, other in pairwise(own):
-            # A person who follows a suggestion with certainty gives no information about beta; others do.
-            nothing = one["suggestion"] and one["theta_mean"] == pytest.approx(1.0)
-            assert (other["beta_mean"] == pytest.approx(one["beta_mean"], rel=1e-9)) == nothing
-
-
-def test_beliefs_are_those_of_a_filter(pool: Pool) -> None:
-    _, rows = beliefs_of_episode(pool, NoAssistance(), humans=[2], episode=0, seed=0)
-    trace = Trace()
-    simulate(pool, NoAssistance(), humans=[2], episodes=[0], seed=0, trace=trace)
-    pomdp = pool.policies[2].pomdp
-    choices, belief, x = pomdp.model.choices, pomdp.prior[None], pomdp.model.choices.initial
-    for row, action in zip(rows, trace, strict=True):
-        beta = belief[0].sum(axis=1)
-        assert row["beta_mean"] == pytest.approx(float(pomdp.grid.beta @ beta))
-        edges = np.linspace(0.1, 1.5, len(beta) + 1)
-        ends = np.interp([0.05, 0.95], [0, *beta.cumsum()], edges)
-        assert (row["beta_low"], row["beta_high"]) == pytest.approx(tuple(ends))
-        slots = np.flatnonzero(choices.applicable[x])
-        slot = next(int(s) for s in slots if choices.name(x, int(s)) == action["action"])
-        belief = pomdp.update(belief, np.array([x]), np.array([0]), np.array([slot]))
-        x = int(choices.targets[x, slot])
+    """The beliefs are those of a filter, from which people's beta has the same shares between its ends."""
+    for policy, humans in ((AttentionSwitching(), [0, 3]), (NoAssistance(), [2])):
+        trace = Trace()
+        [expected] = simulate(pool, policy, humans=humans, episodes=[5], seed=3, name="mine", trace=trace)
+        episode, rows = beliefs_of_episode(pool, policy, humans=humans, episode=5, seed=3, name="mine")
+        assert episode == expected
+        assert sum(row["suggestion"] for row in rows) == episode.interventions
+        assert [(row["place"], row["step"], row["theta_true"], row["robot_here"]) for row in rows] == [
+            (row["place"], row["step"], row["theta"], row["place"] in row["robot_places"]) for row in trace
+        ]
+        for place, person in enumerate(humans):
+            pomdp = pool.policies[person].pomdp
+            choices, belief, x = pomdp.model.choices, pomdp.prior[None], pomdp.model.choices.initial
+            own = [(row, action) for row, action in zip(rows, trace, strict=True) if row["place"] == place]
+            assert len(own) == episode.actions[place]
+            for row, action in own:
+                beta, theta = belief[0].sum(axis=1), belief[0].sum(axis=0)
+                assert row["beta_true"] == episode.beta[place]
+                assert row["beta_mean"] == pytest.approx(float(pomdp.grid.beta @ beta))
+                assert row["theta_mean"] == pytest.approx(float(pomdp.grid.theta @ theta))
+                ends = np.interp([0.05, 0.95], [0, *beta.cumsum()], np.linspace(0.1, 1.5, len(beta) + 1))
+                assert (row["beta_low"], row["beta_high"]) == pytest.approx(tuple(ends))
+                names = [choices.name(x, slot) for slot in range(int(choices.applicable[x].sum()))]
+                slot, said = names.index(action["action"]), 0
+                if action["suggestion"] is not None:
+                    said = int(np.flatnonzero(pomdp.suggested[x] == names.index(action["suggestion"]))[0])
+                belief = pomdp.update(belief, np.array([x]), np.array([said]), np.array([slot]))
+                x = int(choices.targets[x, slot])
 
 
 def test_what_is_not_known_under_way_leaves_no_hole(tiny_choices: Choices) -> None:
@@ -363,35 +324,6 @@ def test_four_files_are_written_whole(tmp_path: Path, costs: pd.DataFrame, monke
     assert sorted(files) == sorted((tmp_path / "new").iterdir())
 
 
-@pytest.mark.parametrize("figure", ["team_size_figure", "category_figure"])
-@pytest.mark.slow
-def test_legends_fit(figure: str, team_sizes: pd.DataFrame, categories: pd.DataFrame) -> None:
-    long = {f"a-policy-of-a-rather-long-name-{n}": n for n in range(6)}
-    if figure == "team_size_figure":
-        drawn = study_figures.team_size_figure(pd.concat([team_sizes.assign(policy=name) for name in long]))
-    else:
-        several = pd.concat([categories.assign(policy=name) for name in long])
-        drawn = study_figures.category_figure(several, CATEGORIES)
-    drawn.draw_without_rendering()
-    box = drawn.legends[0].get_window_extent()
-    assert box.x0 >= 0
-    assert box.x1 <= drawn.bbox.x1
-    assert not any(box.overlaps(axis.get_window_extent()) for axis in drawn.axes)
-    assert len(drawn.legends) == 1
-
-
-@pytest.mark.parametrize("kinds", thinned([9, 4, 2], 3))
-def test_names_of_kinds_do_not_cover_each_other(categories: pd.DataFrame, kinds: int) -> None:
-    names = [f"people of a kind with a long name, number {n}" for n in range(kinds)]
-    own = where(categories, category=CATEGORIES[0], instance="paper")
-    figure = study_figures.category_figure(pd.concat([own.assign(category=name) for name in names]), names)
-    figure.draw_without_rendering()
-    for axis in figure.axes[-2:]:
-        labels = [label for label in axis.get_xticklabels() if label.get_text()]
-        assert len(labels) == kinds
-        assert overlaps(labels) == []
-
-
 def test_intervals_of_few_pools_do_not_squeeze_the_rest(costs: pd.DataFrame, team_sizes: pd.DataFrame) -> None:
     wide = costs.assign(interventions_low=-100.0, interventions_high=120.0, actions_low=-90.0, actions_high=130.0)
     [axis] = trade_off_figure(wide).axes
@@ -453,29 +385,6 @@ def test_lines_between_stations_say_who_saw_a_suggestion(tiny_choices: Choices) 
     assert not [one for one in episode_figure(episode, trace).artists if one.get_gid() == "link"]
 
 
-@pytest.mark.parametrize("people", [1, 3, 12])
-@pytest.mark.slow
-def test_words_of_an_episodes_picture_do_not_cover_each_other(pool: Pool, people: int) -> None:
-    from dataclasses import replace
-
-    humans, (trace, alone) = [n % 4 for n in range(people)], (Trace(), Trace())
-    name = "a-policy-of-a-rather-long-name-that-somebody-has-chosen-" * 2
-    run = {"humans": humans, "episodes": [1], "seed": 3}
-    [episode] = simulate(pool, AttentionSwitching(), **run, trace=trace, name=name)
-    simulate(pool, NoAssistance(), **run, trace=alone)
-    names = tuple(f"Wolfeschlegelsteinhausenbergerdorff the {n + 1}th, of the second kitting line" for n in humans)
-    figure = episode_figure(replace(episode, people=names), trace, alone)
-    figure.draw_without_rendering()
-    shown = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
-    shown = [text for text in shown if text.get_window_extent().width > 0]
-    assert overlaps(shown) == []
-    boxes = {text.get_text(): text.get_window_extent() for text in shown}
-    assert [text for text, box in boxes.items() if box.x0 < 0 or box.x1 > figure.bbox.x1] == []
-    said = [f"{who}finished after {sum(row['place'] == 0 for row in rows)}" for who, rows in
-            (("", trace), ("alone ", alone))]  # fmt: skip
-    assert all(any(text.get_text().startswith(words) for text in shown) for words in said)
-
-
 def test_figures_of_scales_show_the_whole_scale() -> None:
     cells = [{"condition": "none", "item": "rely", "n": 2, "mean": 5.5, "low": 4.5, "high": 7.0}]
     measures = [{"measure": name, "label": name, "ends": ends, "cells": cells}
@@ -490,3 +399,73 @@ def test_figures_of_scales_show_the_whole_scale() -> None:
     assert axis.get_xticks().tolist() == [1, 2, 3, 4, 5, 6, 7]
     assert axis.get_xlim()[1] > 7
     assert axis.get_ylim() == (-0.5, 0.5)
+
+
+LONG = {f"a-policy-of-a-rather-long-name-{n}": n for n in range(6)}
+KINDS = [f"people of a kind with a long name, number {n}" for n in range(9)]
+
+
+def beside_lines(sizes: pd.DataFrame, *_: pd.DataFrame) -> Figure:
+    return study_figures.team_size_figure(sizes.assign(mean=10.0, low=9.0, high=11.0))
+
+
+def beside_points(_: pd.DataFrame, __: pd.DataFrame, costs: pd.DataFrame) -> Figure:
+    own = costs[costs["policy"] == "attention"]
+    near = [own.assign(policy=f"p{n}", interventions=own["interventions"] + 0.1 * n) for n in range(3)]
+    return trade_off_figure(pd.concat([costs, *near]))
+
+
+def of_kinds(_: pd.DataFrame, categories: pd.DataFrame, __: pd.DataFrame) -> Figure:
+    own = where(categories, category=CATEGORIES[0], instance="paper")
+    return study_figures.category_figure(pd.concat([own.assign(category=name) for name in KINDS]), KINDS)
+
+
+def in_legends_of_sizes(sizes: pd.DataFrame, *_: pd.DataFrame) -> Figure:
+    return study_figures.team_size_figure(pd.concat([sizes.assign(policy=name) for name in LONG]))
+
+
+def in_legends(_: pd.DataFrame, categories: pd.DataFrame, __: pd.DataFrame) -> Figure:
+    return study_figures.category_figure(pd.concat([categories.assign(policy=name) for name in LONG]), CATEGORIES)
+
+
+@pytest.mark.parametrize(
+    ("figure", "count"),
+    [
+        (of_kinds, len(KINDS)),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+            (beside_lines, len(POLICIES)), (beside_points, 12), (in_legends_of_sizes, 6), (in_legends, 0))),
+    ],
+)  # fmt: skip
+def test_words_fit_and_do_not_cover_each_other(
+    figure: Any, count: int, team_sizes: pd.DataFrame, categories: pd.DataFrame, costs: pd.DataFrame
+) -> None:
+    drawn = figure(team_sizes, categories, costs)
+    drawn.draw_without_rendering()
+    for axis in drawn.axes[-2:]:
+        labels = [label for label in axis.get_xticklabels() if label.get_text()] if figure is of_kinds else axis.texts
+        assert len(labels) == count
+        assert overlaps(list(labels)) == []
+        assert all(Text.get_window_extent(text).x1 <= drawn.bbox.x1 for text in labels)
+    box = drawn.legends[0].get_window_extent()
+    assert (box.x0 >= 0, box.x1 <= drawn.bbox.x1, len(drawn.legends)) == (True, True, 1)
+    assert not any(box.overlaps(axis.get_window_extent()) for axis in drawn.axes)
+
+
+@pytest.mark.parametrize("people", [1, 3, 12])
+@pytest.mark.slow
+def test_words_of_an_episodes_picture_do_not_cover_each_other(pool: Pool, people: int) -> None:
+    humans, (trace, alone) = [n % 4 for n in range(people)], (Trace(), Trace())
+    name = "a-policy-of-a-rather-long-name-that-somebody-has-chosen-" * 2
+    run: dict[str, Any] = {"humans": humans, "episodes": [1], "seed": 3}
+    [episode] = simulate(pool, AttentionSwitching(), **run, trace=trace, name=name)
+    simulate(pool, NoAssistance(), **run, trace=alone)
+    names = tuple(f"Wolfeschlegelsteinhausenbergerdorff the {n + 1}th, of the second kitting line" for n in humans)
+    figure = episode_figure(replace(episode, people=names), trace, alone)
+    figure.draw_without_rendering()
+    boxes = {text: text.get_window_extent() for text in figure.findobj(Text) if text.get_text() and text.get_visible()}
+    shown = [text for text, box in boxes.items() if box.width > 0]
+    assert overlaps(shown) == []
+    assert [text.get_text() for text in shown if boxes[text].x0 < 0 or boxes[text].x1 > figure.bbox.x1] == []
+    for who, rows in (("", trace), ("alone ", alone)):
+        said = f"{who}finished after {sum(row['place'] == 0 for row in rows)}"
+        assert any(text.get_text().startswith(said) for text in shown)
