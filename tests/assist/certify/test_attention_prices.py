@@ -95,7 +95,6 @@ def truncated() -> SubproblemGroup:
 def test_prices_on_a_truncated_task(truncated: SubproblemGroup) -> None:
     group, price = truncated, np.array([1.0, 0.5, 0.2])
     assert (group.count, len(group.visits.price)) == (2, 0)
-    assert group.problem.outer is not None
     group = replace(group, problem=replace(group.problem, pairs=3))
     visits = group.at(with_actions(price))
     kept = likely(group.visits.alone, 3, 3)
@@ -104,19 +103,14 @@ def test_prices_on_a_truncated_task(truncated: SubproblemGroup) -> None:
         np.testing.assert_array_equal(found.layout.x, same.layout.x)
         np.testing.assert_array_equal(found.pomdp.robot_costs, same.pomdp.robot_costs)
     free = group.at(with_actions(np.zeros(0))).pomdp.frontier
-    assert free is not None
-    assert group.visits.pomdp.frontier is not None
     np.testing.assert_array_equal(free.upper, group.visits.pomdp.frontier.upper)
-    assert visits.pomdp.frontier is not None
     expected = group.problem.outer.beyond(plain, group.tail).pomdp.frontier
-    assert expected is not None
     np.testing.assert_array_equal(visits.pomdp.frontier.upper, expected.upper)
 
 
 def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemGroup) -> None:
     """It does so at the price of its step, to values with the prices of all later steps."""
     group, price = truncated, np.array([1.0, 0.5, 0.2])
-    assert group.problem.between is not None
     visits, policy = group._with_policy(with_actions(price))
     assert visits is group.problem.between.visits
     after, pomdp = [group.problem.between.value], visits.pomdp

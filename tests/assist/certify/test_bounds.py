@@ -81,7 +81,6 @@ def test_visits_are_what_a_team_of_one_is(pool: Pool, steps: int) -> None:
     states = [visits.states(0, position) for position in range(2 + steps)]
 
     def act(team: TeamState) -> TeamAction:
-        assert team.belief is not None
         position = np.where(team.location[:, 0] == 0, HERE, AWAY)
         at = np.stack(states)[position, team.x[:, 0]]
         action = solution.choose(at, team.belief[:, 0])

@@ -444,7 +444,6 @@ def test_a_bound_from_sample_paths_counts_if_there_are_enough(strangers: Pool, c
     """Of 30 paths it does, and it is the lower one here; fewer are only reported."""
     for paths in (4, 30):
         found = upper_bound(strangers, window=0, gap=1e-2, paths=paths, jobs=1)
-        assert found.sampled is not None
         assert found.sampled.paths == paths
         assert found.sampled.upper < found.proven
         assert found.upper == (found.proven if paths < 30 else found.sampled.upper)
@@ -517,7 +516,6 @@ def test_tasks_with_free_actions_are_bounded(ways: list[tuple[int, int, int]], w
     task = Choices.of(sweep(graph_task(ways, start=max(way[0] for way in ways))))
     pool = Pool.sample(task, 2, seed=1, setting=SETTING)
     found = upper_bound(pool, window=window, gap=1e-3, paths=4, jobs=1)
-    assert found.sampled is not None
     assert found.sampled.paths == 4
     for name in ("none", "priority"):
         certified = found.certify(name, episodes=2000)
@@ -539,7 +537,6 @@ def test_choices_without_lapses_may_have_probability_0(choices: Choices, theta: 
             population=Population(beta=(0.0, 40.0), theta=theta),
         )
         sampled = upper_bound(pool, window=3, gap=1e-3, paths=4, jobs=1).sampled
-        assert sampled is not None
         found.append(sampled.mean)
     assert found[0] == pytest.approx(found[1], abs=1e-3)
 

@@ -306,10 +306,10 @@ def test_the_search_finds_the_least(name: str, alpha: float, monkeypatch: pytest
         assert early >= bound - 1e-9
         given_up += early > bound + 1e-3
         found.append(whole)
-    assert np.ptp(found) > 0.01
     if name.startswith("truncated"):
         assert left > 2
     else:
+        assert np.ptp(found) > 0.01
         assert given_up
 
 
@@ -326,7 +326,6 @@ def test_sampled_bounds_of_truncated_tasks_are_not_below_what_priority_gets(cost
     value, error = run.discounted_return.mean(), run.discounted_return.std(ddof=1) / np.sqrt(len(run))
     pool = Pool.sample(kit("tiny"), 4, seed=0, setting=setting, states=5, region=region)
     bound = upper_bound(pool, window=8, gap=0.1, paths=4, jobs=1)
-    assert bound.sampled is not None
     assert len(bound.price) > 3
     assert bound.proven >= value - 4 * error
     assert bound.sampled.mean + 4 * bound.sampled.stderr >= value - 4 * error

@@ -174,7 +174,6 @@ def test_each_part_of_the_goal_is_visible_whether_it_holds_or_not(drawn: tuple[A
     for values in (states[0], states[-1]):
         for wanted in artist.subject.goal:
             without = replace(artist.subject, goal=tuple(one for one in artist.subject.goal if one is not wanted))
-            assert wanted.atom is not None
             names = set(wanted.atom[1:]) or {TASK}
             names |= {f"#{name}" for name in artist.profile.things}
             assert changed(*together(artist, without, values), names), wanted.text

@@ -39,7 +39,6 @@ def test_a_task_a_state_and_a_plan_are_pictures() -> None:
     goal = int(table.h.argmin())
     assert "Goal: 4 of 4" in texts(table.state(goal)._repr_svg_())
     plan = table.optimal_plan()
-    assert plan is not None
     assert f"Step 1 of {len(plan)}" in texts(plan._repr_svg_())
     assert draw(plan).svg == plan._repr_svg_()
     later = table.optimal_plan(goal)
@@ -79,7 +78,6 @@ def test_a_state_says_its_facts_and_cost() -> None:
 def test_what_would_be_endless_or_cannot_be_drawn_is_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     table = cost_to_go("kitting/tiny")
     plan = table.optimal_plan()
-    assert plan is not None
     monkeypatch.setattr(notebook, "MOST_FRAMES", len(plan))
     assert plan._repr_svg_() is None
     monkeypatch.setattr(notebook, "MOST_OBJECTS", 2)

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT, kit
+from histories import Steps, by_enumeration
 from test_uncertain_actions import NOISY
-from test_unknown_goals import LAPSE, SMALL, Steps, by_enumeration, three_goals
+from test_unknown_goals import LAPSE, SMALL, three_goals
 
 from assist.declare import InapplicableError, Refusal
 from assist.live import Assistant, Question, Session
@@ -104,10 +105,10 @@ def test_the_belief_after_answers_is_that_of_enumerated_histories(name: str) -> 
         team.elapse()
         seen = team.person("ann")
         action = seen.applicable[rng.integers(len(seen.applicable))]
-        steps.append((seen.state, None, action))
+        steps.append((ObservationModel(), None, action))
         team.observe("ann", action, heard=False)
-    expected = by_enumeration(goals, pomdp, steps, seen_going_on=False)
-    expected = (expected.reshape(3, -1) * share[:, None]).reshape(expected.shape)
+    expected = by_enumeration(pomdp, steps, works=None)[team.person("ann").state]
+    expected = (expected * share[:, None, None]).reshape(-1, expected.shape[-1])
     assert told > 0
     np.testing.assert_allclose(team.person("ann").belief, expected / expected.sum(), rtol=0, atol=1e-12)
 

@@ -11,7 +11,7 @@ from test_qmdp import GRID, make
 from test_unknown_goals import three_goals
 
 from assist.people import Choices, Grid, HumanModel
-from assist.person import AssistPOMDP, OfRobots, VectorPolicy, evaluate, qmdp
+from assist.person import AssistPOMDP, OfRobots, VectorPolicy
 from assist.person.belief_filter import Parts, child
 from assist.person.problem_arrays import ProblemArrays
 from planner import Instance
@@ -96,22 +96,6 @@ def test_the_best_vector_gives_value_and_action(tiny_choices: Choices) -> None:
             assert action[i] == policy.action[rows][products.argmax()]
     assert (value[tiny_choices.goal] == 0).all()
     assert (action[tiny_choices.goal] == 0).all()
-
-
-def test_vectors_of_never_helping_are_its_exact_values(tiny_choices: Choices) -> None:
-    """A look-ahead from a policy's exact values returns them for the policy's own actions.
-
-    It never exceeds QMDP's bound.
-    """
-    pomdp = make(tiny_choices)
-    never = np.zeros(len(tiny_choices), dtype=np.int64)
-    values = evaluate(pomdp, never, tolerance=1e-9)
-    policy = VectorPolicy(pomdp, values, never, np.arange(len(values) + 1))
-    x = np.flatnonzero(~tiny_choices.goal)
-    belief = np.broadcast_to(pomdp.prior, (len(x), *GRID.shape))
-    q = policy.q_values(x, belief)
-    np.testing.assert_allclose(q[:, 0], policy.value(x, belief), atol=1e-7)
-    assert (q.max(axis=1) <= qmdp(pomdp).value(x, belief) + 1e-9).all()
 
 
 def test_what_does_not_fit_is_refused(tiny_choices: Choices) -> None:

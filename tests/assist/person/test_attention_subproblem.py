@@ -106,8 +106,6 @@ def is_as_defined(
 def ends_as_defined(found: AttentionSubproblem) -> None:
     """Where the person's states end, so do those of the subproblem; 0 is the bound where only the step has ended."""
     layout, frontier, alone = found.layout, found.pomdp.frontier, found.alone
-    assert frontier is not None
-    assert alone.frontier is not None
     assert alone.frontier.away is not None
     bounds = {}
     for place, x in enumerate(alone.frontier.states):
@@ -186,9 +184,6 @@ def test_other_prices_change_the_bounds_where_the_task_ends() -> None:
     one, other = (AttentionSubproblem.of(alone, 0.4, 1, price) for price in ([0.5, 0.25], [2.0, 1.0]))
     is_as_defined(one, [0.5, 0.25])
     moved = one.priced(np.array([2.0, 1.0]))
-    assert one.pomdp.frontier is not None
-    assert moved.pomdp.frontier is not None
-    assert other.pomdp.frontier is not None
     np.testing.assert_array_equal(moved.pomdp.frontier.lower, other.pomdp.frontier.lower)
     assert (moved.pomdp.frontier.lower < one.pomdp.frontier.lower).any()
 

@@ -46,7 +46,6 @@ def part_and_whole(
     visits = AttentionSubproblem.of(Assumptions.of(setting, human, PRIOR).problem(choices), ENTRY, steps)
     values = qmdp(visits.pomdp).value_mdp
     both = np.stack([values[visits.states(0, position)] for position in (AWAY, HERE)], axis=1)
-    assert problem.frontier is not None
     # States are identified by their keys, whose numbers differ between the two tasks.
     place = {int(key): x for x, key in enumerate(choices.keys)}
     assert len(place) == len(choices)
@@ -68,7 +67,6 @@ def test_nobody_gets_more(task: str, size: int, setting: Setting, human: Human |
     for steps in (0, 2):
         problem, values, _ = part_and_whole(task, size, setting, human, steps)
         frontier = problem.frontier
-        assert frontier is not None
         assert frontier.away is not None
         assert (frontier.away >= values[:, 0] - 1e-6).all()
         assert (frontier.upper >= values[:, 1] - 1e-6).all()
@@ -171,7 +169,6 @@ def test_what_is_looked_at_as_a_whole_is_known(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     problem, values, _ = part_and_whole("tiny", 100, Setting(c_suggest=0.2), somebody())
     frontier = problem.frontier
-    assert frontier is not None
     assert frontier.away is not None
     np.testing.assert_allclose(frontier.away, values[:, 0], atol=1e-3)
     np.testing.assert_allclose(frontier.upper, values[:, 1], atol=1e-3)
@@ -188,7 +185,6 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
     monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     table, setting, human = kit("tiny"), Setting(c_suggest=0.2), somebody()
     found = bounded(table, Assumptions.of(setting, human, PRIOR), entry=ENTRY, size=100, outer="kept")
-    assert found.outer is not None
     assert found.between is not None
     price = np.array([0.0, 0.6, 0.3, 0.5])
     everything = Assumptions.of(setting, human, PRIOR).problem(found.outer.visits.alone.model.choices)
@@ -205,7 +201,6 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
     free = qmdp(AttentionSubproblem.of(found.problem, ENTRY, steps).pomdp).value_mdp
     visits = found.outer.beyond(AttentionSubproblem.of(found.problem, ENTRY, steps, price, kept=kept), free)
     frontier, inner = visits.pomdp.frontier, visits.layout
-    assert frontier is not None
     states = frontier.states
     assert 0 < found.problem.ends[inner.x[states]].sum() < len(states)  # some are only left out at their step
     x = found.outer.index[inner.x[states]]
@@ -251,7 +246,6 @@ def test_what_is_expected_beyond_is_known() -> None:
     """A suggestion changes trust by the person's expectation of its successor, inside the part or not."""
     setting, human = Setting(), somebody()
     problem, _, choices = part_and_whole("tiny", 3, setting, human)
-    assert problem.frontier is not None
     expected = perceived_value(choices, perceived_cost(choices, human.expects(choices)))
     place = {int(key): x for x, key in enumerate(choices.keys)}
     part = problem.model.choices
@@ -296,8 +290,6 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
         for most in (math.inf, 3.0)
     ]
     large, small = found
-    assert large is not None
-    assert small is not None
     assert 10 < len(small.value) < len(large.value) / 2
     # Less is known on it, and no bound is lower.
     initial = [
@@ -326,8 +318,6 @@ def test_without_time_nobody_errs_beyond() -> None:
         bounded(table, assumed, entry=ENTRY, size=3, limits=BoundLimits(until)).problem for until in (0.0, math.inf)
     )
     hurried, bound = at_once.frontier, in_time.frontier
-    assert hurried is not None
-    assert bound is not None
     anybody = never_erring(at_once.model.choices.h[hurried.states], table.task.costs, assumed.gamma)
     np.testing.assert_allclose(hurried.upper, np.broadcast_to(anybody[:, None, None], hurried.upper.shape))
     assert (bound.upper <= hurried.upper).all()

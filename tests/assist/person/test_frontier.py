@@ -62,7 +62,6 @@ def test_bounds_on_the_frontier_hold(drawn: list[tuple[int, int, int]], given: d
     whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table), **human), **cost)  # type: ignore[arg-type]
     part = TruncatedTask.of(table, states=states)
     problem = closed_problem(part, Assumptions(**given))  # type: ignore[arg-type]
-    assert problem.frontier is not None
     at = part.states[part.frontier]
     left = 1e-8 * (3 + cost["robot"].c_suggest) / (1 - cost["gamma"])  # of the value iteration
     assert (values(whole)[at] <= problem.frontier.upper + left).all()
@@ -146,7 +145,6 @@ def test_bounds_by_hand(
     part = TruncatedTask.of(sweep(graph_task(roads, start=start)), states=states)
     assumed = Assumptions(gamma=0.9, robot=OfRobots(c_suggest=c_suggest), lapse=0.0)
     frontier = closed_problem(part, assumed).frontier
-    assert frontier is not None
     np.testing.assert_allclose(frontier.lower, np.full((1, 1, 10), lower), rtol=1e-6, atol=1e-4)
     np.testing.assert_allclose(frontier.upper, upper, rtol=1e-12)
     assert (frontier.lower <= 0).all()
@@ -167,7 +165,6 @@ def test_the_lower_bound_knows_who_follows() -> None:
     part = TruncatedTask.of(table, states=2)
     h = part.choices.h[part.frontier]
     frontier = closed_problem(part, Assumptions(gamma=0.9, robot=OfRobots(c_suggest=0.5), eta=0.0, lapse=0.0)).frontier
-    assert frontier is not None
     assert sorted(h) == [6, 9]
     np.testing.assert_allclose(frontier.lower[:, 0, -1], -1.5 * (1 - 0.9**h) / 0.1, rtol=1e-6)
     floor = -1.5 / 0.1
@@ -175,7 +172,6 @@ def test_the_lower_bound_knows_who_follows() -> None:
     assert (np.diff(frontier.lower) > 0).all()
     # A suggestion in each step raises theta by eta, so that even someone who began without any influence arrives.
     moved = closed_problem(part, Assumptions(gamma=0.9, robot=OfRobots(c_suggest=0.5), eta=0.2, lapse=0.0)).frontier
-    assert moved is not None
     assert (moved.lower[:, 0, 0] > floor + 1).all()
     np.testing.assert_allclose(moved.lower[:, 0, -1], frontier.lower[:, 0, -1], rtol=1e-6)
 
@@ -194,7 +190,6 @@ def test_the_lower_bound_is_exact_on_a_ladder_for_people_who_choose_blindly(top:
     for states in range(1, top):
         part = TruncatedTask.of(table, states=states, population=blind)
         frontier = closed_problem(part, Assumptions(eta=eta, lapse=0.0, **setting)).frontier  # type: ignore[arg-type]
-        assert frontier is not None
         np.testing.assert_allclose(frontier.lower[:, 0], expected[part.states[frontier.states]], rtol=1e-5)
 
 
@@ -207,8 +202,6 @@ def test_what_is_too_much_to_look_through_is_bounded_with_care(
     known = closed_problem(part, Assumptions(gamma=0.9)).frontier
     monkeypatch.setattr(frontier_bounds, "SURVEYED", 1)
     careful = closed_problem(part, Assumptions(gamma=0.9)).frontier
-    assert known is not None
-    assert careful is not None
     assert (careful.lower <= known.lower + 1e-9).all()
     assert more or (careful.lower > careful.floor + 0.1).any()
 
@@ -248,7 +241,6 @@ def test_the_lower_bound_follows_rules_of_trust_whose_steps_are_known() -> None:
         frontier = closed_problem(
             part, Assumptions(gamma=0.9, eta=eta, trust=trust, utility_scale=utility_scale)
         ).frontier
-        assert frontier is not None
         return frontier.lower
 
     np.testing.assert_array_equal(lower(0.2, constant()), lower(0.0, None))

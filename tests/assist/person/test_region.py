@@ -66,7 +66,6 @@ def test_a_truncated_task_of_all_goals_has_bounds_for_each() -> None:
     for states in (4, 60):
         part = TruncatedTask.of(goals, states=states)
         frontier = closed_problem(part, Assumptions(**SETTING)).frontier  # type: ignore[arg-type]
-        assert frontier is not None
         assert frontier.floor is not None
         leaves = part.states[part.frontier]
         assert len(frontier.states) == len(leaves) > 0
@@ -223,13 +222,11 @@ def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
         assert (ours.gamma, ours.model.lapse) == (0.9, 0.02)
         for name in ("prior", "robot_costs", "suggested", "chosen", "low", "weight"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
-        assert ours.frontier is not None
         assert ours.frontier.lower.shape == (len(part.frontier), 1, len(ours.grid.theta))
     rule = Reliability(2, 0.1, 2)
     ours = closed_problem(part, Assumptions(trust=rule))
     theirs = AssistPOMDP.of(HumanModel.exact(part.choices), behaviour=Behaviour(trust=rule))
     assert ours.grid.shape == theirs.grid.shape == (6, 30)
-    assert ours.frontier is not None
     assert ours.frontier.lower.shape == (len(part.frontier), 1, 30)
     np.testing.assert_array_equal(
         ours.low[part.choices.optimal.any(axis=1)], theirs.low[part.choices.optimal.any(axis=1)]
@@ -332,7 +329,6 @@ def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tin
         part = PersonProblem.of(known, states=states, setting=Setting(gamma=0.97, c_suggest=0.3))
         region = TruncatedTask.of(known, states=states)
         assert part.states.tolist() == region.states.tolist()
-        assert part.pomdp.frontier is not None
         assert part.pomdp.frontier.states.tolist() == region.frontier.tolist()
 
 

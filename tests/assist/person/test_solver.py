@@ -18,7 +18,7 @@ from test_qmdp import GRID, make
 from assist.people import Choices, Grid, Human, HumanModel, Population, perceived_cost_to_go
 from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, SolverOptions, evaluate, qmdp, solve
 from assist.person.search import relative_gap
-from planner import LimitError, Table, sweep
+from planner import LimitError, sweep
 
 
 def detour() -> Choices:
@@ -237,16 +237,6 @@ def test_options_with_which_nothing_is_searched_are_refused() -> None:
     for wrong in ({"depth": 0}, {"backups_per_check": 0}, {"first_sweeps": 0}, {"finest": 0.0}):
         with pytest.raises(ValueError, match=f"{next(iter(wrong))} .*expected"):
             SolverOptions(**wrong)  # type: ignore[arg-type]
-
-
-def test_dead_ends_cost_for_ever(sealed: Table) -> None:
-    """In a dead end both bounds are the value of never reaching the goal."""
-    solution = solution_of("sealed")
-    dead = np.flatnonzero(sealed.dead_end)
-    belief = np.broadcast_to(solution.pomdp.prior, (len(dead), *solution.pomdp.grid.shape))
-    assert len(dead)
-    for bound in (solution.value, solution.upper_bound):
-        np.testing.assert_allclose(bound(dead, belief), -1 / (1 - 0.9), rtol=1e-4)  # unit costs
 
 
 def test_bounds_tighten_until_the_gap_is_reached() -> None:

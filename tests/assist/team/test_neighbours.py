@@ -32,7 +32,6 @@ class Talkative:
         self.did, self.before = list[TeamAction](), list[np.ndarray]()
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        assert team.belief is not None
         self.before.append(team.belief[0].copy())
         self.kept.append(team)
         n, k = team.active.shape
@@ -173,7 +172,6 @@ def test_people_of_the_model_are_distributed_as_the_robots_believe(tiny: Table) 
     talks, beliefs = Talkative(3), list[np.ndarray]()
 
     def watched(team: TeamState) -> TeamAction:
-        assert team.belief is not None
         if team.step == 3:
             beliefs.append(team.belief.copy())
         return talks(team)
@@ -297,7 +295,6 @@ def test_the_outlook_is_the_expected_change_of_those_who_see_it(tiny: Table, rul
     pool, found, talks = Pool.sample(tiny, 3, seed=2, setting=setting), list[float](), Talkative(2)
 
     def watched(team: TeamState) -> TeamAction:
-        assert team.belief is not None
         actions, sees = team.q_values().shape[2], neighbours.weights(3)
         got = outlook(team, actions, Policy.value)
         for e, k, r in np.ndindex(got.shape):

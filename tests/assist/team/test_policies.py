@@ -291,7 +291,6 @@ def test_attention_switching_as_defined(people: Pool, robots: int, never: bool, 
     """The score of a person is the advantage of their policy's action, minus the cost of the way."""
     team = random_state(people, robots=robots, **options)
     switching = AttentionAgainstNever.of(people.policies) if never else AttentionSwitching()
-    assert team.belief is not None
     score, best = np.full((TEAMS, robots, PEOPLE), -np.inf), np.zeros(team.x.shape, dtype=np.int64)
     alone = [evaluate(one.pomdp, np.zeros(len(one.pomdp.robot_actions), dtype=np.int64)) for one in people.policies]
     for n, k in np.argwhere(team.active):

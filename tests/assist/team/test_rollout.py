@@ -44,7 +44,6 @@ def test_the_advantages_on_sample_paths_are_those_of_simulated_returns(tiny: Tab
     """V at the start and the mean sum of advantages are priority's return: the differences of V have mean 0."""
     pool = of(three_goals("tiny")) if "goals" in setting else of(tiny, **setting)
     policy, team = Rollout.of(pool.policies, pool.setting.travel(3), RolloutOptions(horizon=200)), start(pool)
-    assert team.belief is not None
     paths = _Paths(policy, team, np.array([0]), [policy.base(team)], np.ones((1, 1), dtype=bool), 150, 0)
     sums = paths.values()[0]
     for k, one in enumerate(pool.policies):

@@ -184,7 +184,6 @@ def test_in_the_models_world_the_belief_is_right_on_average(pool: Pool) -> None:
 
     def watched(team: TeamState) -> TeamAction:
         if team.step == 5:
-            assert team.belief is not None
             mean.append(team.belief.sum(axis=3)[:, 0])
         return AttentionSwitching()(team)
 
