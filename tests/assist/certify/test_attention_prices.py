@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import graph_task, kit
 from test_goal_bounds import ring
-from test_policy_iteration import PlainBackup
+from test_qmdp import PlainBackup
 
 from assist.certify.priced_steps import window_of
 from assist.certify.prices import SubproblemGroup, groups_of

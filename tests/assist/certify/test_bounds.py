@@ -171,20 +171,6 @@ def test_people_with_one_model_share_one_problem(tiny_choices: Choices) -> None:
     assert 2 < certificate.gap_percent < 3
 
 
-def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choices) -> None:
-    """With travel times, priority is well ahead of Algorithm 1 for people drawn from the prior, with common random
-    numbers.
-    """
-    setting = Setting(c_suggest=0.1, c_move=0.5, travel_time=2.0)
-    pool = Pool.sample(tiny_choices, 4, seed=1, setting=setting)
-    runs = [
-        simulate(pool, pool.policy(name), humans=4, episodes=400, seed=0, world="model").discounted_return
-        for name in ("priority", "attention")
-    ]
-    ahead = runs[0] - runs[1]
-    assert ahead.mean() > 3 * ahead.std() / np.sqrt(len(ahead))
-
-
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [

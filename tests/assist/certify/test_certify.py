@@ -231,19 +231,6 @@ def test_steps_are_relative_to_the_number_of_busy_robots_and_to_past_ones() -> N
     np.testing.assert_allclose(looked_for(Busier(2, 1.0, 0.0), most=2), [second], rtol=1e-9)
 
 
-def test_people_at_the_edges_of_prices(strangers: Pool) -> None:
-    """At price 0, attention has the same value at every step; at a very high price, no person is attended to."""
-    (group,) = groups_of(strangers, (0, 1, 2), SETTING.travel(3), 3)
-    layout, found = group.visits.layout, group.best(group.visits)
-    always = group.tail[layout.position * layout.states + layout.x]
-    np.testing.assert_allclose(found.value_mdp, always, atol=1e-3)
-    assert np.ptp(always) > 1
-    shares, values = group.simulated(with_actions(np.full(3, 1e6)), 4, 50, 0)
-    assert shares[0].tolist() == [0, 0, 0]
-    assert (values > -100).all()
-    assert group.simulated(with_actions(np.zeros(3)), 4, 50, 0)[0][0, 0] > 0
-
-
 def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Choices) -> None:
     """One problem is rebuilt in every round while those of both people exist, so that three have to fit into memory."""
     travel, alone = SETTING.travel(2), pool.policies[0].pomdp

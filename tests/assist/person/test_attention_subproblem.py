@@ -11,7 +11,7 @@ from conftest import costly, graph_task
 from hypothesis import given
 from hypothesis import strategies as st
 from test_goal_bounds import ring
-from test_policy_iteration import PlainBackup
+from test_qmdp import PlainBackup
 
 from assist.people import NOTHING, Choices, Grid, HumanModel, outcome
 from assist.person import QMDP, AssistPOMDP, AttentionSubproblem, LeafBounds, OfRobots, attention_subproblem, qmdp

@@ -8,7 +8,7 @@ from conftest import DOMAINS, costly, graph_task, table_of
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from test_policy_iteration import PlainBackup
+from test_qmdp import PlainBackup
 
 from assist.people import Choices, EquationSeven, HumanModel, Population, TrustRule, constant, outcome
 from assist.person import AssistPOMDP, Assumptions, OfRobots, TruncatedTask, frontier_bounds, solve
@@ -95,17 +95,6 @@ def suggestions(choices: Choices, x: int) -> set[str]:
     return {choices.name(x, int(slot)) for slot in np.flatnonzero(choices.optimal[x])}
 
 
-@examples
-@given(graphs, st.integers(1, 8))
-def test_a_part_suggests_what_the_whole_does(drawn: list[tuple[int, int, int]], states: int) -> None:
-    table = solvable(drawn)
-    if table is None:
-        return
-    full, part = Choices.of(table), TruncatedTask.of(table, states=states)
-    for x in np.setdiff1d(np.arange(len(part.states)), part.frontier):
-        assert suggestions(part.choices, int(x)) == suggestions(full, int(part.states[x]))
-
-
 def test_what_is_suggested_on_demand_is_what_the_table_has() -> None:
     """Loading and unloading are free, so that without an order among them an optimal plan could contain a cycle."""
     table = table_of(ROUND_TRIP)
@@ -153,27 +142,6 @@ def test_bounds_by_hand(
         np.testing.assert_allclose(anybody.lower, frontier.lower, rtol=1e-12)
         np.testing.assert_array_equal(anybody.upper.shape, (1, 1, 1))
         assert (anybody.floor, frontier.floor) == pytest.approx((lower,) * 2, rel=1e-12)
-
-
-def test_the_lower_bound_knows_who_follows() -> None:
-    """A ladder with a wrong step at each rung: at theta 1 it is never taken; at theta 0 half of the choices may be
-    wrong.
-    """
-    up = [(node, node - 1, 1) for node in range(1, 13)]
-    down = [(node, node + 1, 1) for node in range(1, 12)]
-    table = sweep(graph_task(up + down, start=8))
-    part = TruncatedTask.of(table, states=2)
-    h = part.choices.h[part.frontier]
-    frontier = closed_problem(part, Assumptions(gamma=0.9, robot=OfRobots(c_suggest=0.5), eta=0.0, lapse=0.0)).frontier
-    assert sorted(h) == [6, 9]
-    np.testing.assert_allclose(frontier.lower[:, 0, -1], -1.5 * (1 - 0.9**h) / 0.1, rtol=1e-6)
-    floor = -1.5 / 0.1
-    np.testing.assert_allclose(frontier.lower[:, 0, 0], floor, rtol=1e-6)  # who may never reach the goal
-    assert (np.diff(frontier.lower) > 0).all()
-    # A suggestion in each step raises theta by eta, so that even someone who began without any influence arrives.
-    moved = closed_problem(part, Assumptions(gamma=0.9, robot=OfRobots(c_suggest=0.5), eta=0.2, lapse=0.0)).frontier
-    assert (moved.lower[:, 0, 0] > floor + 1).all()
-    np.testing.assert_allclose(moved.lower[:, 0, -1], frontier.lower[:, 0, -1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("eta", [0.0, 0.2])
@@ -250,10 +218,3 @@ def test_the_lower_bound_follows_rules_of_trust_whose_steps_are_known() -> None:
     assert (lower(0.2, None) > lower(0.0, None)).any()
     np.testing.assert_allclose(lower(0.4, None, utility_scale=2.0), lower(0.2, None), rtol=1e-12)
     np.testing.assert_allclose(lower(0.2, outcome()), -2 / 0.1, rtol=1e-12)
-
-
-def test_a_discount_that_cannot_be_is_refused() -> None:
-    part = TruncatedTask.of(table_of(ROUND_TRIP), states=3)
-    for gamma in (0.0, 1.0, 1.5, float("nan")):
-        with pytest.raises(ValueError, match="gamma"):
-            closed_problem(part, Assumptions(gamma=gamma))

@@ -7,6 +7,7 @@ import pytest
 from conftest import costly
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 
 from assist.people.belief import ImpossibleObservationError
 from assist.people.type_kernels import exclude_reached, is_mistake
@@ -16,6 +17,7 @@ from assist.person.dynamics import act_readable
 from assist.person.dynamics_kernel import act_compiled
 from assist.person.people_arrays import Minds, PeopleArrays
 from assist.person.problem_arrays import Acts, ProblemArrays, read_only
+from assist.person.ties import NEAR, first_best, ranked
 from planner.system.jit import ReadableFirst
 
 VALUES = np.array([0.0, 0.3, 0.9, 1.0])
@@ -157,3 +159,25 @@ def test_work_that_takes_a_small_share_of_the_time_is_never_worth_compiling(
         found = doubled(work)
         now[0] += int(work * pause)
     assert found == last
+
+
+LEVELS = st.sampled_from([-np.inf, -1.0, 0.0, 0.5, 2.0])
+TABLES = arrays.arrays(float, st.tuples(st.integers(1, 4), st.integers(1, 6)), elements=LEVELS)
+
+
+def rounded(values: np.ndarray, seed: int) -> np.ndarray:
+    """Return values with errors below a third of the smallest difference that counts."""
+    return values + np.random.default_rng(seed).uniform(-NEAR / 3, NEAR / 3, values.shape)
+
+
+@given(values=TABLES, seed=st.integers(0, 9))
+def test_rounding_changes_no_choice_and_no_order(values: np.ndarray, seed: int) -> None:
+    near = rounded(values, seed)
+    assert (first_best(near) == values.argmax(axis=1)).all()
+    assert (ranked(near) == np.argsort(-values, axis=1, kind="stable")).all()
+
+
+@pytest.mark.parametrize("columns", [1, 5, 40])
+def test_many_rows_are_chosen_from_as_few_are(columns: int) -> None:
+    values = rounded(np.random.default_rng(1).integers(0, 3, (300, 2, columns)).astype(float), 2)
+    assert (first_best(values) == [[first_best(one) for one in team] for team in values]).all()

@@ -136,18 +136,6 @@ def test_a_simulation_without_errors_is_that_of_perfect_observation(tiny_choices
     assert nearly.pruned is not None
 
 
-def test_errors_of_observation_cost_return_and_people_act_alike_without_a_robot(tiny_choices: Choices) -> None:
-    returns = {}
-    for share in (0.0, 0.3):
-        setting = Setting(c_suggest=0.2, suggestions="all", observation=ObservationModel(share, share))
-        pool = Pool.sample(tiny_choices, 3, seed=1, setting=setting)
-        for policy in ("none", "attention"):
-            found = simulate(pool, policy, humans=2, episodes=100, seed=4)
-            returns[policy, share] = found.discounted_return.mean()
-    assert returns["none", 0.0] == returns["none", 0.3]
-    assert returns["none", 0.3] < returns["attention", 0.3] < returns["attention", 0.0]
-
-
 def test_an_observation_model_is_saved_with_its_setting_and_wrong_ones_are_refused() -> None:
     table = {"(fetch box-a)": {"fetch box-b": 0.2}}
     for observation in (ObservationModel(0.1, 0.2), ObservationModel(0.1, table)):

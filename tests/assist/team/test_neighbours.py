@@ -12,7 +12,7 @@ from assist.connect.teams import Teams
 from assist.declare.declared import DeclarationError
 from assist.people import Goals
 from assist.people.neighbourhood import NOBODY_SEES, Helped, Neighbourhood
-from assist.people.neighbours import SEEN_RULES, Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
+from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
 from assist.person import ObservationModel, Policy, Setting
 from assist.team import Pool, TeamAction, TeamState, simulate
 from assist.team.common_random_numbers import CommonRandomNumbers
@@ -266,25 +266,6 @@ def test_a_robot_that_does_not_know_of_it_believes_as_if_theta_stayed(tiny: Tabl
         return talks.before[3]
 
     assert not np.array_equal(beliefs(), beliefs(known=False))
-
-
-@dataclass(frozen=True)
-class Doubled:
-    """A user's own rule."""
-
-    rate: float = 0.1
-
-    def update(self, theta: np.ndarray, event: SeenEvent) -> np.ndarray:
-        return np.clip(theta + 2 * self.rate * event.weight * event.gain, 0, 1)
-
-
-def test_a_rule_of_the_users_own_moves_theta(tiny: Table) -> None:
-    def run(rule: object) -> list[object]:
-        setting = Setting(c_suggest=0.0, c_move=0.0, neighbours=Neighbours(rule=rule))  # type: ignore[arg-type]
-        return list(simulate(Pool.sample(tiny, 4, seed=2, setting=setting), "attention", humans=3, episodes=8, seed=1))
-
-    assert run(Doubled(0.1)) == run(SeenOutcome(0.2)) != run("none")
-    assert set(SEEN_RULES) == {"none", "outcome", "followed", "steps"}
 
 
 @pytest.mark.parametrize("rule", RULES.values())

@@ -63,28 +63,6 @@ def policies(*quick: str) -> list[Any]:
     return [pytest.param(name, marks=[pytest.mark.slow] * (name not in quick)) for name in POLICIES]
 
 
-@pytest.mark.parametrize("name", policies("none", "reactive", "attention", "priority"))
-@pytest.mark.parametrize("way", thinned([(0, None), (1, None), (0.7, FAR)], 3))
-def test_two_robots_never_attend_the_same_person(pool: Pool, name: str, way: tuple[float, Any]) -> None:
-    trace: Trace = []
-    travel_time, distance = way
-    two = of(pool, 2, travel_time=travel_time)
-    travel = two.setting.travel(3, distance)
-    episodes = run(two, name, episodes=10 if name == "rollout" else 20, trace=trace, travel=travel)
-    for episode in episodes:
-        rows = [row for row in trace if row["episode"] == f"{name}-{episode.episode}"]
-        assert sum(row["suggestion"] is not None for row in rows) == episode.interventions
-        for row in rows:
-            there = [place for place in row["robot_places"] if place is not None]
-            assert len(set(there)) == len(there)
-            assert row["suggestion"] is None or row["place"] in there
-    assert (episodes.interventions > 0).any() == (name != "none")
-    if travel_time:
-        return
-    both = {tuple(row["robot_places"]) for row in trace if None not in row["robot_places"]}
-    assert bool(both) == (name != "none")  # two robots are with two people at a time
-
-
 def test_with_a_robot_each_everybody_is_always_attended_to(pool: Pool) -> None:
     """If moves are free, as many robots as people serve each person like a robot of their own."""
     each = of(pool, 3, c_move=0.0)
@@ -108,14 +86,6 @@ def test_with_a_robot_each_everybody_is_always_attended_to(pool: Pool) -> None:
     assert (found.discounted_return == simulate(each, everybody, humans=3, episodes=50, seed=3).discounted_return).all()
     more = run(of(pool, 4, c_move=0.0), "attention")
     assert (more.discounted_return == found.discounted_return).all()
-
-
-def test_more_robots_are_worth_more(strangers: Pool) -> None:
-    found = [run(of(strangers, robots), "priority", 4, 500).discounted_return for robots in (1, 2, 3, 4)]
-    for fewer, more in itertools.pairwise(found):
-        difference = more - fewer
-        assert difference.mean() > -2 * difference.std() / np.sqrt(len(difference))
-    assert (found[1] - found[0]).mean() > 0.01
 
 
 def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:
