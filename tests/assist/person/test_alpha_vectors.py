@@ -23,7 +23,7 @@ def random_vectors(pomdp: AssistPOMDP, seed: int = 3) -> VectorPolicy:
     counts = np.where(pomdp.model.choices.goal, 0, rng.integers(1, 5, len(pomdp.robot_actions)))
     first = np.concatenate([[0], np.cumsum(counts)])
     action = rng.integers(0, np.repeat(pomdp.robot_actions, counts))
-    return VectorPolicy(pomdp, -10 * rng.random((first[-1], *pomdp.grid.shape)), action, first)
+    return VectorPolicy(pomdp, -10 * rng.random((first[-1], *pomdp.prior.shape)), action, first)
 
 
 def worth(policy: VectorPolicy, x: int, belief: np.ndarray) -> float:
@@ -75,7 +75,7 @@ def test_action_values_equal_those_of_a_plain_look_ahead(tiny_choices: Choices, 
     policy = random_vectors(pomdp)
     rng = np.random.default_rng(5)
     x = rng.permutation(np.flatnonzero(~pomdp.model.choices.goal))[:20]
-    belief = rng.dirichlet(np.full(pomdp.prior.size, 0.3), len(x)).reshape(-1, *pomdp.grid.shape)
+    belief = rng.dirichlet(np.full(pomdp.prior.size, 0.3), len(x)).reshape(-1, *pomdp.prior.shape)
     q = policy.q_values(x, belief)
     for i, state in enumerate(x):
         expected = [look_ahead(policy, state, r, belief[i]) for r in range(pomdp.robot_actions[state])]
