@@ -180,7 +180,7 @@ def test_each_part_of_the_goal_is_visible_whether_it_holds_or_not(drawn: tuple[A
 
 
 @pytest.mark.parametrize("drawn", thinned(CASES, 3), indirect=True)
-def test_objects_stay_where_they_are_over_the_frames_of_a_plan(drawn: tuple[Artist, tuple[str, ...]]) -> None:
+def test_objects_stay_where_they_are_and_text_is_large_enough(drawn: tuple[Artist, tuple[str, ...]]) -> None:
     artist, plan = drawn
     layouts = artist.layouts(artist.subject.follow(plan), WIDTH / 2)
     frames = [
@@ -202,13 +202,8 @@ def test_objects_stay_where_they_are_over_the_frames_of_a_plan(drawn: tuple[Arti
                         max(one.y, two.y) >= min(one.y + one.height, two.y + two.height) - 0.1
                     )
                     assert apart, (one.node.key, two.node.key)
-
-
-@pytest.mark.parametrize("drawn", thinned(CASES, 3), indirect=True)
-def test_text_is_large_enough_where_pictures_are_as_wide_as_a_page(drawn: tuple[Artist, tuple[str, ...]]) -> None:
-    artist, plan = drawn
-    rows = plan_frames(artist, plan)
-    states = artist.subject.follow(plan)
+    # Text is large enough where pictures are as wide as a page.
+    rows, states = plan_frames(artist, plan), artist.subject.follow(plan)
     pictures = [artist.draw(states[0]), artist.draw(states[-1]), draw_strip(artist, rows), draw_frames(artist, rows)[0]]
     for picture in pictures:
         smallest = 12 * min(1.0, WIDTH / picture.width)  # the font of labels and notes, as in `drawing.css`

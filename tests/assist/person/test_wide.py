@@ -328,7 +328,7 @@ def silent(pomdp: AssistPOMDP) -> QMDP:
 def test_a_solver_of_ones_own_acts_in_the_states_of_a_truncated_task(tiny: Table, knowledge: Any) -> None:
     """With all states its policy is that on the whole task; with few, suggestions are made beyond its states only."""
     setting = Setting(c_suggest=0.05, c_move=0.05, gamma=0.9, knowledge=knowledge)
-    options: dict[str, Any] = {"humans": 2, "episodes": 40, "seed": 3}
+    options: dict[str, Any] = {"humans": 2, "episodes": 20, "seed": 3}
     whole, cut = pools(tiny, setting=setting, solver=partial(solve, gap=1e-4))
     assert_same(*(simulate(pool, "attention", **options) for pool in (whole, cut)))
     said = []
