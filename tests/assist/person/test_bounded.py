@@ -59,7 +59,7 @@ def part_and_whole(
     ("task", "size", "setting", "human"),
     [
         ("sealed", 4, Setting(c_suggest=0.2), somebody()),
-        ("costs/ways", 3, Setting(c_suggest=0.2, eta=0.8), somebody()),
+        pytest.param("costs/ways", 3, Setting(c_suggest=0.2, eta=0.8), somebody(), marks=pytest.mark.slow),
         ("tiny", 3, Setting(suggestions="all", gamma=0.95, lapse=0.02), somebody("action")),
         ("tiny", 4, Setting(c_suggest=0.1, knowledge="exact"), None),
     ],
@@ -117,7 +117,7 @@ def waiting(c_wait: float) -> tuple[Any, ...]:
 AT_LEAST: dict[str, tuple[Any, ...]] = {
     # The task, the setting, the people, what coming costs, how many steps it takes, and sizes of the bound.
     "execute, all": ("tiny", EXECUTES | {"c_execute": 0.8, "suggestions": "all"}, None, ENTRY, (0, 2), {}),
-    "execute": ("sealed", EXECUTES | {"c_execute": 0.8}, None, ENTRY, (0, 2), {}),
+    "execute": ("sealed", EXECUTES | {"c_execute": 0.8}, None, ENTRY, (0,), {}),
     "waiting": waiting(5.0),
     "own types": ("tiny", SEEN, Population(beta=(0.1, 3.0)), 0.0, (0,), {"hidden": 2, "hidden_least": 2, "seen": 4}),
     **{
@@ -125,6 +125,7 @@ AT_LEAST: dict[str, tuple[Any, ...]] = {
                               MIXED(chooses=chooses), 0.0, (0,), {})
         for knows in ("own", "exact") for model, chooses in MODELS.items()
     },
+    "execute, dead ends": ("sealed", EXECUTES | {"c_execute": 0.8}, None, ENTRY, (2,), {}),
     "execute for nothing": ("tiny", EXECUTES | {"c_execute": 0.0, "suggestions": "all"}, None, ENTRY, (0, 2), {}),
     "execute, free actions": ("costs/ways", EXECUTES | {"c_execute": 0.8}, None, ENTRY, (0, 2), {}),
     "waiting for little": waiting(1.0),

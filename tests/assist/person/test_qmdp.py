@@ -216,7 +216,7 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("most_values", [sparse_iteration.MOST_VALUES, 0])
-@costly(4, 15)
+@costly(3, 15)
 @given(draw=st.data(), gamma=st.sampled_from([0.9, 0.99, 0.999]))
 def test_values_are_those_of_plain_policy_iteration(gamma: float, most_values: int, draw: st.DataObject) -> None:
     """Both in numpy and compiled; also for a robot that visits, and for one that pays for its attention."""

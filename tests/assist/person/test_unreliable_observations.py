@@ -155,12 +155,9 @@ def test_confusions_with_actions_that_the_task_does_not_have_are_refused() -> No
     unknown = Setting(observation=ObservationModel(0, {"(fetch box-a)": {"(fetch box-x)": 0.5}}))
     with pytest.raises(ValueError, match=r"\(fetch box-x\) is no action of the task; .*such as \(fetch box-[ab]\)"):
         Pool.sample(kit("tiny"), 1, seed=1, setting=unknown)
-    for command in ("simulate", "serve"):
-        found = invoke(
-            command, "kitting/tiny", "--humans", 1, "--set", "observation.confusion={fetch = {return = 0.1}}"
-        )
-        assert found.exit_code == 2
-        assert "confusion: (fetch) is no action of the task; expected actions with all arguments" in found.stderr
+    found = invoke("serve", "kitting/tiny", "--humans", 1, "--set", "observation.confusion={fetch = {return = 0.1}}")
+    assert found.exit_code == 2
+    assert "confusion: (fetch) is no action of the task; expected actions with all arguments" in found.stderr
 
 
 def test_the_command_simulates_errors_of_observation() -> None:
