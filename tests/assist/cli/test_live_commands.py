@@ -115,23 +115,6 @@ def test_people_go_on_where_a_policy_fails(begun: Begun, own: Path, tmp_path: Pa
     assert session.observe("person-1", "(fetch box-a)", id="1") == seen
 
 
-def test_distances_are_those_of_people_in_their_order(begun: Begun, tmp_path: Path) -> None:
-    file = tmp_path / "distances.json"
-    for near, far in (("person-1", "person-2"), ("person-2", "person-1")):
-        to = {near: 0.1, far: 9}
-        first, second = to["person-1"], to["person-2"]
-        file.write_text(json.dumps([[0, 9, first], [9, 0, second], [first, second, 0]]))
-        words = ["--humans", "2", "--c-suggest", "0.02", "--c-move", "0.5", "--set", "trust=paper", "--set"]
-        session = begun(TINY, *words, f"distances={file}")
-        for action in ("(fetch box-a)", WRONG):
-            for name in session.people:
-                session.observe(name, action)
-        assert session.person(near)["suggestion"] == "(remove hammer slot-2 box-a)"
-        assert session.person(far)["suggestion"] is None
-    with pytest.raises(ValueError, match="a place for 2 people; expected a larger matrix"):
-        session.join("guest")
-
-
 @pytest.mark.cases
 def test_distances_may_have_places_for_people_who_join_later(begun: Begun, tmp_path: Path) -> None:
     """Also those with which a session goes on after it was read again for one more person."""

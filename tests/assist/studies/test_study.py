@@ -15,8 +15,7 @@ from conftest import invoke
 from fuzz import here
 from studies import TINY, contents, write
 
-from assist.people.user_code import UserCodeError
-from assist.studies import Study, carry_out, load_study, profile, read, run_study
+from assist.studies import Study, load_study, profile, read, run_study
 from assist.studies.reports.study_report import write_report
 from planner.system.errors import InputFileError
 
@@ -150,17 +149,6 @@ def test_results_of_nobody_knows_what_are_neither_continued_nor_replaced(
     if content is not None:
         with pytest.raises(InputFileError, match="choose another folder"):
             load_study(results)
-
-
-def test_a_policy_that_remembers_former_calls_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(
-        "CALLS = []\ndef third(team):\n    CALLS.append(team)\n"
-        "    return team.act(team.active.argmax(axis=1), team.first_optimal() * (len(CALLS) % 3 > 0))\n"
-    )
-    study = read(write(tmp_path, TINY.replace('policies = ["attention"]', 'policies = ["mine.py:third"]')))
-    cell = next(cell for cell in study.cells() if cell.condition == "dear")
-    with pytest.raises(UserCodeError, match=r"mine.py:2: third chooses otherwise .* without memory of former calls"):
-        carry_out(cell, study)
 
 
 @pytest.mark.usefixtures("in_this_process")

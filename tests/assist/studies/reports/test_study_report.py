@@ -22,7 +22,6 @@ from assist import Pool, simulate
 from assist.people.neighbours import Neighbours
 from assist.person import ObservationModel, Setting
 from assist.studies import Study, load_study, read, run_study
-from assist.studies.reports.study_figures import of_whom
 from assist.studies.reports.study_report import Report, notes
 from assist.studies.reports.study_summary import ARM, Found, has_same_baseline
 from assist.team.policy_names import BASELINES
@@ -132,49 +131,28 @@ def test_a_policy_that_never_acts_saves_nothing_in_teams_of_any_size(tmp_path: P
     assert found == {(0.0, None, None)}
 
 
-def test_a_baseline_is_borrowed_for_the_same_teams_only_and_rows_are_told_apart_by_the_condition(
-    tmp_path: Path,
-) -> None:
+def test_a_baseline_is_borrowed_for_the_same_teams_and_setting_only_and_rows_are_told_apart(tmp_path: Path) -> None:
+    """Two robots intervene more often than one, so that the reactive policy of one robot is no baseline for them."""
     head = TINY.split("[[conditions]]")[0]
     more = [
         'name = "first"\nsettings = [{ c_suggest = 0.3 }]\n',
         'name = "few"\nhumans = [1, 3]\npolicies = ["attention"]\n',
         'name = "own"\nhumans = [1, 3]\n',
+        'name = "other"\npolicies = ["attention"]\n'
+        'settings = [{ robots = 2 }, { knowledge = "exact" }, { c_suggest = 0.4 }]\n',
     ]
     report = report_of(tmp_path, "[[conditions]]\n".join([head, *more]), 2)
     whole = [row for row in report.summary["comparisons"] if row["humans"] is None]
-    assert {row["condition"] for row in whole if row["policy"] == "attention"} == {"first", "own"}
+    assert {row["condition"] for row in whole if row["policy"] == "attention"} == {"first", "own", "other"}
     assert "| first | c_suggest 0.3 | attention |" in report.text
     assert "| own | default | attention |" in report.text
     usual = report.text.partition("The default setting, unless a condition differs: ")[2].partition("\n")[0]
     assert "c_suggest 0.2" in usual
-
-
-def test_a_baseline_of_another_setting_is_not_borrowed(tmp_path: Path) -> None:
-    """Two robots intervene more often than one, so that the reactive policy of one robot is no baseline for them."""
-    head, first = TINY.split("[[conditions]]")[:2]
-    other = """
-name = "other"
-policies = ["attention"]
-settings = [{ c_suggest = 0.2, robots = 2 }, { c_suggest = 0.2, knowledge = "exact" }, { c_suggest = 0.4 }]
-"""
-    report = report_of(tmp_path, "[[conditions]]".join([head, first, other]), 2)
-    compared = {
-        (row["setting"], row["against"])
-        for row in report.summary["comparisons"] if row["condition"] == "other" and row["measure"] == "actions"
-    }  # fmt: skip
+    compared = {(row["setting"], row["against"]) for row in whole if row["condition"] == "other"}
     labels = {setting for setting, _ in compared}
     assert len(labels) == 3
     assert {setting for setting, against in compared if against == "none"} == labels
     assert {setting for setting, against in compared if against == "reactive"} == {"c_suggest 0.4"}
-
-
-def test_captions_call_the_default_setting_as_the_tables_do(small_study: tuple[Study, Path, dict]) -> None:
-    study, out, _ = small_study
-    first = study.conditions[0]
-    several = replace(first, settings=(*first.settings, ("dear", replace(first.settings[0][1], c_suggest=9.0))))
-    study = replace(study, conditions=(several, *study.conditions[1:]))
-    assert of_whom(Found(study, load_study(out))) == " (setting 'default')"
 
 
 CHANGED = {

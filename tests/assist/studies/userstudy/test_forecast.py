@@ -164,16 +164,6 @@ def test_rounds_end_when_the_effort_is_spent_and_each_has_people_of_its_own(
     assert (more[20:40] != few).any()
 
 
-def test_fewer_episodes_say_whether_a_policy_hardly_assists(found: Forecast, tiny: Table, tmp_path: Path) -> None:
-    """The policy `none` weighs no costs, so that it is not simulated then."""
-    assert [*found.seldom_assisted()] == []
-    for cost, said in (("0.02", []), ("50.0", ["attention suggests something to 0 % of simulated people"])):
-        study = read(written(tmp_path / "study.toml", ALIKE.replace("c_suggest = 0.02", f"c_suggest = {cost}")))
-        brief = Forecast.of(study, {"tiny": tiny}, briefly=True)
-        assert [one.partition(":")[0] for one in brief.seldom_assisted()] == said
-        assert ({*brief.assisted}, brief.actions) == ({"attention"}, {})
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("design", "places"), [("between", 24), ("between", 80), ("within", 12), ("within", 40)])
 def test_four_of_five_studies_show_what_was_forecast(tiny: Table, tmp_path: Path, design: str, places: int) -> None:

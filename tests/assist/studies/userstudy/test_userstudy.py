@@ -15,12 +15,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from conftest import KITTING, ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
 from userstudies import ALONE, PLAN, SCORES, Open, Part, opened, written
 
 from assist.declare import InapplicableError
@@ -271,15 +269,6 @@ def test_within_participants_all_conditions_are_compared(opened: Open) -> None:
     assert [row["episode"] for row in session.log() if row["person"] == "ann"].count("2") == found.tasks[1]["actions"]
 
     summary = summarise(session.study, found)
-    actions = {(row["participant"], row["condition"]): row["actions"] for row in found.tasks}
-    by_order: dict[str, list[int]] = {order: [] for order in drawn}
-    for part, order in zip(parts, drawn, strict=True):
-        by_order[order].append(actions[part.name, "attention"] - actions[part.name, "none"])
-    (shown,) = summary["measures"][0]["differences"]
-    one, other = by_order.values()
-    peer = stats.ttest_ind(one, -np.array(other)).confidence_interval(0.95)
-    mean = (np.mean(one) + np.mean(other)) / 2
-    assert (shown["mean"], shown["low"], shown["high"]) == pytest.approx((mean, peer.low / 2, peer.high / 2))
     assert {one["condition"]: one["done"] for one in summary["conditions"]} == Counter(drawn)
     before = {name: session.person(name) for name in session.people}, session.log(), session.beliefs()
     session.close()
