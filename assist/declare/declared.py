@@ -97,7 +97,8 @@ class Seldom:
     """Marks a field of a view that its JSON has only where it differs from its default."""
 
 
-def _number(value: Any) -> float:
+def real_number(value: Any) -> float:
+    """Return a real number of any type as a float, an infinite one if it is too large; truth values are none."""
     try:
         if type(value) is not bool and isinstance(value, Real):
             return float(value)
@@ -129,9 +130,9 @@ def _pair(value: Any) -> Any:
     return tuple(listed) if isinstance(listed, list) else listed
 
 
-Number = Annotated[float, BeforeValidator(_number), Kind("a number")]
-AnyNumber = Annotated[float, Field(allow_inf_nan=True), BeforeValidator(_number), Kind("a number")]
-Seconds = Annotated[float, BeforeValidator(_number), Field(gt=0, le=1e9), Kind("a number of seconds")]
+Number = Annotated[float, BeforeValidator(real_number), Kind("a number")]
+AnyNumber = Annotated[float, Field(allow_inf_nan=True), BeforeValidator(real_number), Kind("a number")]
+Seconds = Annotated[float, BeforeValidator(real_number), Field(gt=0, le=1e9), Kind("a number of seconds")]
 Whole = Annotated[int, BeforeValidator(whole_number), Kind("a whole number")]
 Truth = Annotated[bool, BeforeValidator(_truth), Kind("true or false")]
 Count = Annotated[Whole, Field(ge=1)]

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import operator
 from collections.abc import Iterable, Mapping, Sequence
-from numbers import Real
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic_core import PydanticCustomError
 
 from planner.system.errors import expected
 
 from ..declare.declared import MOST as MOST
+from ..declare.declared import real_number, whole_number
 from .hidden_type import Ints
 
 Seed = int | np.random.Generator
@@ -21,13 +21,10 @@ Seed = int | np.random.Generator
 
 def whole(name: str, value: object, least: int = 0) -> int:
     """Return a value as an int; truth values are refused."""
-    try:
-        number = None if isinstance(value, bool | np.bool_) else operator.index(value)  # type: ignore[arg-type]
-    except TypeError:
-        number = None
-    if number is None or number < least:
-        raise ValueError(f"{name} {value!r}: expected a whole number of {least} or more")
-    return number
+    with suppress(PydanticCustomError):
+        if (number := whole_number(value)) >= least:
+            return number
+    raise ValueError(f"{name} {value!r}: expected a whole number of {least} or more")
 
 
 def wholes(name: str, values: ArrayLike) -> Ints:
@@ -40,14 +37,10 @@ def wholes(name: str, values: ArrayLike) -> Ints:
 
 def number(name: str, value: object) -> float:
     """Return a value as a float; truth values and arrays are refused. A number too large for a float is infinite."""
-    real = None if isinstance(value, bool | np.bool_) else value
     try:
-        read = float(real) if isinstance(real, Real) else None
-    except OverflowError:
-        read = math.inf
-    if read is None:
-        raise ValueError(f"{name} {value!r}: expected a number")
-    return read
+        return real_number(value)
+    except PydanticCustomError:
+        raise ValueError(f"{name} {value!r}: expected a number") from None
 
 
 def within(name: str, value: object, low: float, high: float) -> float:

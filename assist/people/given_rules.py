@@ -15,7 +15,7 @@ from planner.system.errors import expected
 
 from ..declare.declared import is_declared
 from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, may_move, of_table
-from .user_code import UserCodeError, UserRule, UserTrustRule, parse
+from .user_code import UserCodeError, UserRule, parse
 
 R = TypeVar("R")
 
@@ -45,12 +45,10 @@ def rule_to_fit(rule: Any) -> str | TrustRule | None:
 
 def _given(rule: Any, least: float) -> str | TrustRule | None:
     form = "uses_answer, feedback and update"
-    return None if rule is None else given_as(rule, RULES, UserTrustRule, lambda one: possible(one, least), form)
+    return None if rule is None else given_as(rule, RULES, lambda one: possible(one, least), form)
 
 
-def given_as(
-    rule: Any, shipped: Mapping[str, Callable[..., R]], own: type[UserRule], tried: Callable[[Any], Any], form: str
-) -> str | R:
+def given_as(rule: Any, shipped: Mapping[str, Callable[..., R]], tried: Callable[[Any], Any], form: str) -> str | R:
     """Return a rule of any kind, or its name; a table becomes its rule, and so does FILE.py:RULE.
 
     Parameters
@@ -58,8 +56,6 @@ def given_as(
     rule : str, mapping or object
     shipped : mapping of str to callable
         The shipped rules of this kind, by name.
-    own : type of UserRule
-        The class of those in a file.
     tried : callable
         Receives a rule of the user's own; its errors are those of this function, too.
     form : str
@@ -78,7 +74,7 @@ def given_as(
             raise ValueError(f"'{rule}'; {expected(rule, shipped, ', a rule, or FILE.py:RULE')}")
         if source is None:
             return rule
-        rule = own.load(*source)
+        rule = UserRule.load(*source)
     if not hasattr(rule, "update"):
         raise ValueError(f"{rule!r}; expected a name, or an object with {form}")
     if not is_declared(type(rule)):

@@ -26,8 +26,8 @@ from pydantic import BeforeValidator, Field, PlainValidator
 
 from ..declare.declared import MOST, Beside, DeclarationError, Expected, Number, Truth, declared, is_declared
 from .given_rules import given_as, possible
-from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, Fitted, TrustRule, by_name, counts_of
-from .user_code import UserCodeError, UserSeenRule, function_beside
+from .trust_rules import LARGEST_STEP, LEAST, Event, Feedback, Fitted, TrustRule, by_name
+from .user_code import UserCodeError, function_beside
 
 if TYPE_CHECKING:
     from .decision import Bools, Floats, Ints
@@ -192,17 +192,12 @@ class WithSeen:
         """As in the person's own rule."""
         return self.own.feedback
 
-    @property
-    def counts(self) -> int:
-        """As in the person's own rule."""
-        return counts_of(self.own)
-
     def update(self, theta: Floats, event: Event, *count: Any) -> Floats:
         """Return theta after a suggestion to oneself."""
         return self.own.update(theta, event, *count)
 
     def __getattr__(self, name: str) -> Any:
-        """Return what else the person's own rule has, such as `counted` and `sees_silence`."""
+        """Return what else the person's own rule has, such as `counts` and `sees_silence`."""
         if name.startswith("__") or name in ("own", "seen"):  # of a copy that has no rules yet
             raise AttributeError(name)
         return getattr(self.own, name)
@@ -269,7 +264,7 @@ def seen_rule(given: Any) -> SeenRule:
         There is no such rule, or it has no such field.
     """
     found = given_as(
-        given, SEEN_RULES, UserSeenRule,
+        given, SEEN_RULES,
         lambda rule: possible(rule if isinstance(rule, type) else SeenAlone(rule)), "a method update(theta, event)",
     )  # fmt: skip
     made: SeenRule = SEEN_RULES[found]() if isinstance(found, str) else found

@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -26,7 +26,7 @@ from ..declare.declared import UserCodeError as UserCodeError
 
 if TYPE_CHECKING:
     from .choices import Choices
-    from .decision import Bools, Floats, Ints
+    from .decision import Floats
 
 PACKAGE = Path(__file__).parents[1]
 _LOADING = RLock()
@@ -228,53 +228,17 @@ class UserChoiceModel(UserObject):
 
 
 class UserRule(UserObject):
-    """A user's rule by which theta moves."""
+    """A user's rule by which theta moves, by suggestions to oneself (`TrustRule`) or to neighbours (`SeenRule`).
 
-    def update(self, theta: Floats, event: Any, *count: Floats | Bools | int) -> Floats:
-        """Return theta after the event; `count` is given where the rule counts."""
-        found: Floats = self.result(self.loaded.update, theta, event, *count)
-        return found
+    It has the attributes and methods of the rule in the file.
+    """
 
-
-class UserTrustRule(UserRule):
-    """A user's trust rule: a `TrustRule`."""
-
-    @property
-    def uses_answer(self) -> bool:
-        """That of the rule; an AttributeError if it has none, and so for `feedback`."""
-        found: bool = self.loaded.uses_answer
-        return found
-
-    @property
-    def feedback(self) -> Any:
-        """That of the rule."""
-        return self.loaded.feedback
-
-    @property
-    def counts(self) -> int:
-        """The number of outcomes that the rule counts; 0 if it counts none."""
-        return int(getattr(self.loaded, "counts", 0))
-
-    @property
-    def sees_silence(self) -> bool:
-        """Whether the rule is applied in steps without a suggestion, too."""
-        return bool(getattr(self.loaded, "sees_silence", False))
-
-    @property
-    def counted(self) -> Callable[[Ints, Any], Ints]:
-        """How the rule counts; an AttributeError if it says nothing of that."""
-        method = self.loaded.counted
-        return lambda count, event: self.result(method, count, event)
-
-
-class UserSeenRule(UserRule):
-    """A user's rule of what people see of their neighbours: a `SeenRule`."""
-
-    @property
-    def envelope(self) -> Callable[..., tuple[Floats, Floats]]:
-        """How far theta can come by an event; an AttributeError if the rule does not say it."""
-        method = self.loaded.envelope
-        return lambda theta, gain, weight: self.result(method, theta, gain, weight)
+    def __getattr__(self, name: str) -> Any:
+        """Return what the rule has under a name; of a method, a function whose errors are told with their line."""
+        if name.startswith("__"):  # of a copy or a record, for which nothing is loaded
+            raise AttributeError(name)
+        found = getattr(self.loaded, name)
+        return partial(self.result, found) if callable(found) else found
 
 
 _loaded = cache(load)

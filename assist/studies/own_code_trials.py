@@ -26,7 +26,7 @@ from ..people.neighbours import Neighbours, SeenAlone, SeenRule
 from ..people.ranges import Population
 from ..people.terms import Situation
 from ..people.trust_rules import TrustRule
-from ..people.user_code import UserChoiceModel, UserCodeError, UserSeenRule, UserTrustRule
+from ..people.user_code import UserChoiceModel, UserCodeError, UserRule
 from ..person.observation_model import ObservationModel
 from ..person.robots import Robot
 from ..person.settings import Setting
@@ -160,7 +160,7 @@ def of_people(code: Callable[..., Floats], place: Place) -> Trials:
 
 def of_trust(code: TrustRule, place: Place) -> Trials:
     """Yield the trials of a trust rule."""
-    rule = code if place is None else UserTrustRule(*place)
+    rule: Any = code if place is None else UserRule(*place)
     yield "its attributes", partial(fault_of_attributes, rule)
     if fault_of_attributes(rule) is not None:
         return
@@ -203,7 +203,7 @@ def _values(term: Callable[[Situation], Floats], task: str) -> str | None:
 
 def of_neighbours(code: SeenRule, place: Place) -> Trials:
     """Yield the trials of a rule of what people see of their neighbours."""
-    rule = code if place is None else UserSeenRule(*place)
+    rule: Any = code if place is None else UserRule(*place)
     yield "suggestions to neighbours of all kinds", partial(fault_of_updates, SeenAlone(rule))
     try:
         possible(SeenAlone(rule))
