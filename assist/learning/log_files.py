@@ -58,14 +58,7 @@ BINARY = {
 
 
 def read_records(file: Path, columns: Mapping[str, str], taken: Taken) -> list[Record]:
-    """Return a file's records with the column names of a log; `taken` notes how it was interpreted.
-
-    Parameters
-    ----------
-    file : Path
-    columns : mapping of str to str
-        The file's name of each column of a log; checked by `own_names`.
-    taken : Taken
+    """Return a file's records with the column names of a log, of which `own_names` returns the user's.
 
     Raises
     ------
@@ -96,7 +89,8 @@ def in_tasks(rows: list[Record], problems: Sequence[str], name: object, taken: T
         Files of the tasks' problems. A log calls a task by such a name, without ending and perhaps with folders. A
         log of one task may call it otherwise. Without problems all rows are returned, and `taken` has their tasks.
     name : object
-        Name of the log in messages.
+        The log, in messages.
+    taken : Taken
 
     Raises
     ------
@@ -353,15 +347,7 @@ HINTS = frozenset(
 
 
 def _asked(cells: Mapping[str, Sequence[Any]], actions: Sequence[Any]) -> list[str]:
-    """Return a question for each column that is not read, and seems to have suggestions by its name or its content.
-
-    Parameters
-    ----------
-    cells : mapping of str to sequence
-        The values of each column that is not read.
-    actions : sequence
-        The actions that people did.
-    """
+    """Return a question for each column that is not read, and has a name of suggestions, or actions that people did."""
     called = _first_words(actions)
     asked = []
     for key, column in cells.items():
@@ -408,15 +394,7 @@ def _from_table(lines: Sequence[str | Broken], columns: Mapping[str, str], file:
 
 
 def lacking_column(head: Sequence[str], columns: Mapping[str, str]) -> Broken | None:
-    """Return the fault of a table without a column that a log needs; None if it has all, or no columns.
-
-    Parameters
-    ----------
-    head : sequence of str
-        Names of the table's columns.
-    columns : mapping of str to str
-        The table's name of each column of a log; checked by `own_names`.
-    """
+    """Return the fault of a table with some names of columns that lacks one; None if it has all, or no columns."""
     names = [plain(cell).lower() for cell in head]
     missing = [name for name in NEEDED if _sources(columns)[name] not in names]
     if not names or not missing:

@@ -15,8 +15,8 @@ from pydantic import Field
 from planner.system.errors import expected
 
 from ..declare.declared import AnyText, Expected, Number, Range, declared
-from ..people.given_rules import rule_to_fit
-from ..people.trust_rules import RULES, TrustRule, constant, fields_of, fitted_of
+from ..people.given_rules import rule_given
+from ..people.trust_rules import LEAST, RULES, TrustRule, constant, fields_of, fitted_of
 from ..people.user_code import UserCodeError
 from .likelihood import Method
 
@@ -163,9 +163,9 @@ def family_of(rule: str | TrustRule | RuleFamily, method: Method) -> RuleFamily:
     """Return the family of a rule: that of a shipped one by its name, or one without parameters to estimate."""
     try:
         if isinstance(rule, RuleFamily):
-            rule_to_fit(_own(rule))
+            rule_given(_own(rule), LEAST)
             return rule
-        given = rule_to_fit(rule)
+        given = rule_given(rule, LEAST)
     except UserCodeError:
         raise
     except ValueError as error:

@@ -14,7 +14,7 @@ from typing import Any, TypeVar, get_args
 from planner.system.errors import expected
 
 from ..declare.declared import is_declared
-from .trust_rules import LEAST, RULES, Event, Feedback, TrustRule, counts_of, may_move, of_table
+from .trust_rules import RULES, Event, Feedback, TrustRule, counts_of, may_move, of_table
 from .user_code import UserCodeError, UserRule, parse
 
 R = TypeVar("R")
@@ -25,8 +25,14 @@ MOST_COUNTS = 4
 """Counts of outcomes that are tried."""
 
 
-def rule_given(rule: Any) -> str | TrustRule | None:
+def rule_given(rule: Any, least: float = 0.0) -> str | TrustRule | None:
     """Return a trust rule, its name or None; a table becomes its rule, and so does FILE.py:RULE.
+
+    Parameters
+    ----------
+    rule : str, mapping or object
+    least : float
+        Least theta to which a rule of the user's own is applied, and one minus the largest.
 
     Raises
     ------
@@ -35,15 +41,6 @@ def rule_given(rule: Any) -> str | TrustRule | None:
     ValueError
         It is none of these.
     """
-    return _given(rule, 0.0)
-
-
-def rule_to_fit(rule: Any) -> str | TrustRule | None:
-    """Return the same for estimates, in which theta is never 0 or 1."""
-    return _given(rule, LEAST)
-
-
-def _given(rule: Any, least: float) -> str | TrustRule | None:
     form = "uses_answer, feedback and update"
     return None if rule is None else given_as(rule, RULES, lambda one: possible(one, least), form)
 
@@ -90,7 +87,7 @@ def possible(rule: Any, least: float = 0.0) -> TrustRule:
     ----------
     rule : TrustRule
     least : float
-        Least theta that is tried, and one minus the largest.
+        As in `rule_given`.
 
     Raises
     ------
@@ -153,14 +150,7 @@ def fault_of_attributes(rule: Any) -> str | None:
 
 
 def fault_of_updates(rule: Any, least: float = 0.0) -> str | None:
-    """Return what is wrong with the thetas and counts to which a rule leads; None if nothing is.
-
-    Parameters
-    ----------
-    rule : TrustRule
-    least : float
-        As in `possible`.
-    """
+    """Return what is wrong with the thetas and counts to which a rule leads; None if nothing is."""
     import numpy as np
 
     from .perceived_suggestions import moved

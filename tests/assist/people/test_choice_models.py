@@ -299,9 +299,9 @@ def test_a_model_of_ones_own_is_used_everywhere(tiny: Table) -> None:
     never = value.q_mdp[choices.initial, 0, 0, 1]
     assert alone.discounted_return.mean() < never + 4 * alone.discounted_return.std() / np.sqrt(400)
     problem = PersonProblem.of(tiny, population=people)
-    exact = solve(problem.pomdp, gap=0.05)
-    assert exact.gap <= 0.05
-    part = solve(PersonProblem.of(OnDemand(tiny.task), population=people, states=len(tiny)).pomdp, gap=0.05)
+    exact = solve(problem.pomdp, gap=0.2)
+    assert exact.gap <= 0.2
+    part = solve(PersonProblem.of(OnDemand(tiny.task), population=people, states=len(tiny)).pomdp, gap=0.2)
     assert part.lower <= exact.upper
     assert exact.lower <= part.upper
     assert part.lower == pytest.approx(exact.lower, abs=0.01)
@@ -440,7 +440,7 @@ def test_people_of_a_file_are_used_by_the_commands(tmp_path: Path) -> None:
     assert helped["knows"] != helped["believes"]
     assert none["hasty"]["human_actions_per_person"]["mean"] > 2 * none["plain"]["human_actions_per_person"]["mean"]
     values = [
-        json.loads(invoke("policy", KITTING / "tiny.pddl", "--gap", 0.05, "--json", *options).stdout)["value_never"]
+        json.loads(invoke("policy", KITTING / "tiny.pddl", "--gap", 1, "--json", *options).stdout)["value_never"]
         for options in ((), ("--set", f"population.chooses={own}:hasty"), ("--population", tmp_path / "habits.json"))
     ]
     assert len({round(value, 6) for value in values}) == 3

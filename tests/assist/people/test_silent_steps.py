@@ -116,7 +116,7 @@ def test_simulated_people_have_the_value_of_plain_arithmetic(case: tuple[TrustRu
         person[~team.active.any(axis=1)] = NOBODY
         return team.act(person, team.first_optimal())
 
-    found = simulate(pool, act, humans=[0], episodes=20_000, seed=0, world=world).discounted_return  # type: ignore[arg-type]
+    found = simulate(pool, act, humans=[0], episodes=6_000, seed=0, world=world).discounted_return  # type: ignore[arg-type]
     plain = exact(rule) if world == "model" else replace(exact(rule), lapse=0.0)
     people: Belief = beliefs_of(pomdp) if world == "model" else {(2.0, 0.5, 0): 1.0}
 
