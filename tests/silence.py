@@ -87,16 +87,16 @@ class OnePerson:
         if said is not None:
             cost, y = self._costs(x), int(self.choices.targets[x, said])
             after = 0.0 if self.choices.goal[y] else -min(self._costs(y))
-            told = (after + min(cost), cost[said] <= min(cost), a == said, False, False, True)
-            event = Event(*map(np.asarray, told))
+            gain, shown = after + min(cost), a == said and self.rule.feedback != "never"
+            right = self.choices.optimal[x, said] if self.rule.feedback == "true" else gain > 0
+            event = Event(*map(np.asarray, (gain, cost[said] <= min(cost), a == said, shown, right, True)))
         rule: Any = self.rule
         if said is None and not getattr(rule, "sees_silence", False):
             return theta, count
         if not getattr(rule, "counts", 0):
             return float(rule.update(np.asarray(theta), event)), 0
-        return float(rule.update(np.asarray(theta), event, np.asarray(count))), int(
-            rule.counted(np.asarray(count), event)
-        )
+        counted = rule.counted(np.asarray(count), event) if hasattr(rule, "counted") else count + event.shown
+        return float(rule.update(np.asarray(theta), event, np.asarray(count))), min(int(counted), rule.counts)
 
     def after(self, belief: Belief, x: int, said: int | None, a: int) -> tuple[float, Belief]:
         """Return the probability of a choice, and the belief after it."""

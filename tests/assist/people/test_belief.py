@@ -1,8 +1,6 @@
-"""Beliefs compared with brute-force enumeration of all histories."""
+"""Grids of beta and theta, priors and intervals by hand, and compiled filters beside the equations."""
 
 from __future__ import annotations
-
-from itertools import product
 
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ from silence import Rested
 from assist.live.live_task import LiveTask
 from assist.people.belief import Grid, ImpossibleObservationError, update
 from assist.people.choices import Choices
-from assist.people.decision import choice, influence, lapse, trust
 from assist.people.hidden_type import HiddenType
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
@@ -36,46 +33,6 @@ GRID = Grid(np.array([0.2, 1.0, 2.5]), np.array([0.0, 0.3, 0.7, 1.0]))
 def person(choices: Choices) -> HumanModel:
     h = perceived_cost_to_go(choices, 0.7, np.random.default_rng(5))
     return HumanModel.own(choices, Human(1.0, 0.6, 0.7, h))
-
-
-def enumerate_posterior(pomdp: AssistPOMDP, history: list[tuple[int, int, int]]) -> np.ndarray:
-    """Sum over every beta and every sequence of theta's grid points, straight from the model's equations."""
-    model, grid = pomdp.model, pomdp.grid
-    c = model.choices
-    q = model.q[:, :, 0]
-    value = np.where(c.goal, 0.0, -q.min(axis=1))
-    steps = len(history)
-    posterior = np.zeros(grid.shape)
-    for b, path in product(range(grid.shape[0]), product(range(grid.shape[1]), repeat=steps + 1)):
-        weight = pomdp.prior[b, path[0]]
-        for (x, action, slot), before, after in zip(history, path, path[1:], strict=False):
-            suggestion = int(pomdp.suggested[x, action])
-            p = choice(q[x], c.applicable[x], grid.beta[b])
-            p = lapse(influence(p, suggestion, grid.theta[before]), c.applicable[x], model.lapse)
-            weight *= p[slot]
-            theta = grid.theta[before]
-            if suggestion >= 0:
-                theta = float(trust(theta, value[x], value[c.targets[x, suggestion]], model.eta))
-            # Probability of the grid point after: the hat function that peaks there.
-            hat = np.interp(theta, grid.theta, np.eye(grid.shape[1])[after])
-            weight *= hat
-        posterior[b, path[-1]] += weight
-    return posterior / posterior.sum()
-
-
-@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
-def test_belief_equals_brute_force_enumeration(tiny_choices: Choices, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    pomdp = AssistPOMDP.of(person(tiny_choices), grid=GRID, suggestions="all")
-    x, history = tiny_choices.initial, []
-    belief = pomdp.prior[None]
-    for _ in range(3):
-        action = int(rng.integers((pomdp.suggested[x] >= 0).sum() + 1))
-        slot = int(rng.choice(np.flatnonzero(tiny_choices.applicable[x])))
-        history.append((x, action, slot))
-        belief = pomdp.update(belief, np.array([x]), np.array([action]), np.array([slot]))
-        x = int(tiny_choices.targets[x, slot])
-    np.testing.assert_allclose(belief[0], enumerate_posterior(pomdp, history), rtol=0, atol=1e-12)
 
 
 def test_a_person_who_acts_against_every_expectation_keeps_a_belief(tiny: Table, tiny_choices: Choices) -> None:

@@ -1,10 +1,11 @@
-"""Trust rules: their laws, the filter against enumeration, and what people do in simulations."""
+"""Trust rules: their laws, the filter against plain arithmetic, and what people do in simulations."""
 
 from __future__ import annotations
 
 import itertools
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -14,7 +15,7 @@ from conftest import KITTING, costly, invoke, kit, thinned
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
-from silence import ThreeInARow
+from silence import OnePerson, ThreeInARow
 
 from assist.certify.team_bound import upper_bound
 from assist.connect.observed import Observed
@@ -22,7 +23,16 @@ from assist.declare.declared import Number, declared, plain, sentences
 from assist.learning.method import Method
 from assist.learning.rule_families import families
 from assist.live.assistant import Assistant
-from assist.people import NOTHING, Choices, Grid, HumanModel, Population, advice_takers
+from assist.people import (
+    NOTHING,
+    Choices,
+    Grid,
+    Human,
+    HumanModel,
+    Population,
+    advice_takers,
+    perceived_cost_to_go,
+)
 from assist.people.decision import Floats
 from assist.people.trust_rules import (
     LEAST,
@@ -34,6 +44,7 @@ from assist.people.trust_rules import (
     Reliability,
     TrustRule,
     constant,
+    counts_of,
     described,
     of_table,
     outcome,
@@ -138,9 +149,11 @@ def test_what_cannot_be_is_refused() -> None:
         LogitSteps(feedback="soon")  # type: ignore[arg-type]
 
 
-def problem(rule: TrustRule | None, *, lapse: float = 0.05) -> AssistPOMDP:
+def problem(rule: TrustRule | None, *, lapse: float = 0.05, h: Floats | None = None) -> AssistPOMDP:
+    """Return the problem of a person whose perceived cost-to-go is known, if it is given."""
     choices = Choices.of(kit("tiny"))
-    model = HumanModel.exact(choices, eta=0.3, lapse=lapse)
+    person = Human(1.0, 0.6, h=choices.h if h is None else h)
+    model = HumanModel.own(choices, person, eta=0.3, lapse=lapse)
     grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.4, 0.6, 1.0]))
     return AssistPOMDP.of(
         model, grid=grid, gamma=0.95, robot=OfRobots(c_suggest=0.1), suggestions="all", behaviour=Behaviour(trust=rule)
@@ -157,40 +170,31 @@ def test_the_papers_rule_is_what_there_is_without_one() -> None:
 @pytest.mark.parametrize("rule", ALL.values(), ids=ALL)
 @given(seed=st.integers(0, 10_000))
 @costly(3, 10)
-def test_the_filter_is_the_sum_over_all_hidden_paths(rule: TrustRule, seed: int) -> None:
-    """A path is beta, the initial theta, and one of two grid points after each suggestion."""
-    pomdp, rng = problem(rule), np.random.default_rng(seed)
-    choices, arrays = pomdp.model.choices, ProblemArrays.of(pomdp)
-    x, walk = choices.initial, []
+def test_the_filter_is_that_of_plain_arithmetic(rule: TrustRule, seed: int) -> None:
+    """The person's misconceptions and actions are random; a theta between grid points is shared between these."""
+    rng = np.random.default_rng(seed)
+    h = perceived_cost_to_go(Choices.of(kit("tiny")), 0.7, rng)
+    pomdp = problem(rule, h=h)
+    grid, choices, arrays = pomdp.grid, pomdp.model.choices, ProblemArrays.of(pomdp)
+    one, hats = OnePerson(replace(choices, h=h), rule, 0.95, 0.1, lapse=0.05), np.eye(len(grid.values))
+    x, plain = choices.initial, pomdp.prior
+    belief, compiled = pomdp.prior[None], pomdp.prior.ravel().copy()
     for _ in range(4):
-        action = int(rng.integers(pomdp.robot_actions[x]))
-        slot = int(rng.integers(choices.applicable[x].sum()))
-        walk.append((x, action, slot))
+        action, slot = int(rng.integers(pomdp.robot_actions[x])), int(rng.integers(choices.applicable[x].sum()))
+        said = None if pomdp.suggested[x, action] == NOTHING else int(pomdp.suggested[x, action])
+        after = np.zeros((grid.shape[0], counts_of(rule) + 1, len(hats)))
+        for (b, t), p in np.ndenumerate(plain):
+            theta, count = one.moved(x, said, slot, grid.theta[t], int(grid.count[t]))
+            chance = one.chances(x, said, grid.beta[b], grid.theta[t])[slot]
+            after[b, count] += p * chance * np.array([np.interp(theta, grid.values, hat) for hat in hats])
+        plain = after.reshape(grid.shape) / after.sum()
+        belief = pomdp.update(belief, *(np.array([each]) for each in (x, action, slot)))
+        update(compiled, np.empty_like(compiled), x, action, slot, arrays)
+        np.testing.assert_allclose(belief[0], plain, atol=1e-12)
+        np.testing.assert_allclose(compiled, plain.ravel(), atol=1e-12)
         x = int(choices.targets[x, slot])
         if choices.goal[x]:
             break
-    betas, thetas = pomdp.grid.shape
-    total = np.zeros((betas, thetas))
-    for b, first in itertools.product(range(betas), range(thetas)):
-        for ups in itertools.product((0, 1), repeat=len(walk)):
-            weight, t = pomdp.prior[b, first], first
-            for (x, action, slot), up in zip(walk, ups, strict=True):
-                weight *= pomdp.likelihood(np.array([x]), np.array([action]), np.array([slot]))[0, b, t]
-                follows = pomdp.followed_low is not None and slot == pomdp.suggested[x, action]
-                low = pomdp.followed_low if follows else pomdp.low
-                share = pomdp.followed_weight if follows else pomdp.weight
-                assert low is not None
-                assert share is not None
-                weight *= share[x, action, 0, t] if up else 1 - share[x, action, 0, t]
-                t = int(low[x, action, 0, t]) + up
-            total[b, t] += weight
-    total /= total.sum()
-    belief, plain = pomdp.prior.ravel().copy(), pomdp.prior[None].copy()
-    for x, action, slot in walk:
-        update(belief, np.empty_like(belief), x, action, slot, arrays)
-        plain = pomdp.update(plain, *(np.array([each]) for each in (x, action, slot)))
-    np.testing.assert_allclose(belief, total.ravel(), atol=1e-12)
-    np.testing.assert_allclose(plain[0], total, atol=1e-12)
 
 
 @pytest.mark.parametrize("rule", ALL.values(), ids=ALL)
