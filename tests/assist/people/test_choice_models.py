@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from joint import joint_bounds
 from numpy.typing import NDArray
 from scipy.special import softmax
+from test_terms import situation
 
 from assist.declare import plain
 from assist.live.assistant import Assistant
@@ -25,7 +26,7 @@ from assist.people.decision import NOTHING, choice, influence, lapse, perceived_
 from assist.people.human import Human, HumanModel
 from assist.people.memory import remembered
 from assist.people.ranges import Population
-from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
+from assist.people.terms import NOTHING_YET, TERMS, features, goals_met
 from assist.people.user_code import UserCodeError
 from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP, Behaviour
@@ -48,16 +49,6 @@ some = settings(max_examples=20, deadline=None, suppress_health_check=list(Healt
 costs = st.lists(st.one_of(st.floats(0, 30), st.just(float("inf"))), min_size=1, max_size=5)
 edges = st.tuples(st.integers(1, 4), st.integers(0, 4), st.sampled_from([0, 1, 1, 2]))
 graphs = st.lists(edges, min_size=2, max_size=9)
-
-
-def situation(table: Table, x: int, last: int, previous: int) -> Situation:
-    """Return a situation for terms, computed from the task itself."""
-    choices = Choices.of(table)
-    targets = choices.targets[[x]]
-    return Situation(
-        choices.names, Vocabulary.of(choices.names), np.array([x]), choices.applicable[[x]], choices.actions[[x]],
-        targets, goals_met(table, [x]), goals_met(table, targets[0])[None], np.array([last]), np.array([previous]),
-    )  # fmt: skip
 
 
 @some

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from recorded import BACK, FETCH, RIGHT, WRONG
 
 from assist.people import NOTHING_YET, TERMS, Choices, Situation, Vocabulary, features, goals_met
 from planner import OnDemand, Table
 
 
+def situation(table: Table, x: int, last: int, previous: int) -> Situation:
+    """Return a situation for terms, computed from the task itself."""
+    choices = Choices.of(table)
+    targets = choices.targets[[x]]
+    return Situation(
+        choices.names, Vocabulary.of(choices.names), np.array([x]), choices.applicable[[x]], choices.actions[[x]],
+        targets, goals_met(table, [x]), goals_met(table, targets[0])[None], np.array([last]), np.array([previous]),
+    )  # fmt: skip
+
+
 def after(table: Table, *actions: str) -> Situation:
     """Return the situation of a person after these actions from the initial state."""
     states = [table.initial, *(table.space.follow(actions[: n + 1]) for n in range(len(actions)))]
-    choices, state = Choices.of(table), np.array(states[-1:])
-    met = goals_met(table, np.arange(len(table)))
-    return Situation(
-        choices.names, Vocabulary.of(choices.names), state, choices.applicable[state], choices.actions[state],
-        choices.targets[state], met[state], met[choices.targets[state]],
-        np.array([table.task.numbers_of[actions[-1]][0] if actions else NOTHING_YET]),
-        np.array([states[-2] if actions else NOTHING_YET]),
-    )  # fmt: skip
+    if not actions:
+        return situation(table, states[0], NOTHING_YET, NOTHING_YET)
+    return situation(table, states[-1], table.task.numbers_of[actions[-1]][0], states[-2])
 
 
 def by_action(situation: Situation, term: str) -> dict[str, float]:
@@ -29,33 +35,20 @@ def by_action(situation: Situation, term: str) -> dict[str, float]:
 
 
 def test_terms_are_those_that_hand_and_eye_find(tiny: Table) -> None:
-    fetched = after(tiny, "(fetch box-a)")
-    assert by_action(fetched, "goals") == {
-        "(place hammer slot-1 box-a)": 1.0,
-        "(place hammer slot-2 box-a)": 0.0,
-        "(return box-a)": 1.0,
-    }
-    assert by_action(fetched, "arguments") == {
-        "(place hammer slot-1 box-a)": 1 / 3,
-        "(place hammer slot-2 box-a)": 1 / 3,
-        "(return box-a)": 1.0,
-    }
-    assert by_action(fetched, "name") == dict.fromkeys(by_action(fetched, "goals"), 0.0)
-    assert by_action(fetched, "back") == {
-        "(place hammer slot-1 box-a)": 0.0,
-        "(place hammer slot-2 box-a)": 0.0,
-        "(return box-a)": 1.0,
-    }
-    returned = after(tiny, "(fetch box-a)", "(return box-a)")
-    assert by_action(returned, "goals") == {"(fetch box-a)": -1.0, "(fetch box-b)": -1.0}
-    placed = after(tiny, "(fetch box-a)", "(place hammer slot-2 box-a)")
-    assert by_action(placed, "arguments") == {"(remove hammer slot-2 box-a)": 1.0, "(return box-a)": 1.0}
-    assert by_action(placed, "back") == {"(remove hammer slot-2 box-a)": 1.0, "(return box-a)": 0.0}
-    removed = after(tiny, "(fetch box-a)", "(place hammer slot-2 box-a)", "(remove hammer slot-2 box-a)")
-    assert by_action(removed, "back")["(place hammer slot-2 box-a)"] == 1.0
-    again = after(tiny, "(fetch box-b)", "(return box-b)", "(fetch box-a)")
-    assert set(by_action(again, "name").values()) == {0.0}
-    assert by_action(returned, "name") == {"(fetch box-a)": 0.0, "(fetch box-b)": 0.0}
+    removal = "(remove hammer slot-2 box-a)"
+    fetched = after(tiny, FETCH)
+    assert by_action(fetched, "goals") == {RIGHT: 1.0, WRONG: 0.0, BACK: 1.0}
+    assert by_action(fetched, "arguments") == {RIGHT: 1 / 3, WRONG: 1 / 3, BACK: 1.0}
+    assert by_action(fetched, "name") == {RIGHT: 0.0, WRONG: 0.0, BACK: 0.0}
+    assert by_action(fetched, "back") == {RIGHT: 0.0, WRONG: 0.0, BACK: 1.0}
+    returned = after(tiny, FETCH, BACK)
+    assert by_action(returned, "goals") == {FETCH: -1.0, "(fetch box-b)": -1.0}
+    assert by_action(returned, "name") == {FETCH: 0.0, "(fetch box-b)": 0.0}
+    placed = after(tiny, FETCH, WRONG)
+    assert by_action(placed, "arguments") == {removal: 1.0, BACK: 1.0}
+    assert by_action(placed, "back") == {removal: 1.0, BACK: 0.0}
+    assert by_action(after(tiny, FETCH, WRONG, removal), "back")[WRONG] == 1.0
+    assert set(by_action(after(tiny, "(fetch box-b)", "(return box-b)", FETCH), "name").values()) == {0.0}
 
 
 def test_the_same_name_is_seen() -> None:
