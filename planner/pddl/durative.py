@@ -67,10 +67,10 @@ def total(parts: Iterable[Expression]) -> Expression:
     return found[0] if len(found) == 1 else listed(word("+"), *found) if found else ZERO
 
 
-def merged(file: Path, schema: TimedSchema, derived: frozenset[str]) -> Schema:
+def merged(file: Path, schema: TimedSchema, derived: Mapping[str, frozenset[str]]) -> Schema:
     """Return the schema without times. Terms of one function that the start changes are alike, or never the same.
 
-    `derived` are the derived predicates that depend on changing facts.
+    `derived` has the predicates and functions that each derived predicate depends on.
     """
     start = _Start(file, schema, derived)
     duration, bounds = _duration(file, schema)
@@ -82,7 +82,7 @@ def merged(file: Path, schema: TimedSchema, derived: frozenset[str]) -> Schema:
         timed(condition if time == START else start.condition(condition)) for time, condition in schema.conditions
     ]
     literals = [
-        replace(each, condition=conjunction((before, timed(each.condition if time == START else
+        replace(each, condition=timed(conjunction((before, each.condition if time == START else
                 start.condition(each.condition)))))
         for time, before, each in schema.literals
     ]  # fmt: skip
@@ -217,12 +217,11 @@ def _duration(file: Path, schema: TimedSchema) -> tuple[Expression | None, list[
 
 def reader_of_duration(schema: TimedSchema) -> Place | None:
     """Return the place of a change or condition that reads `?duration`; None if there is none."""
-    for _, _, change in schema.changes:
-        if reads_duration(change.amount) or reads_duration(change.condition):
+    for _, before, change in schema.changes:
+        if any(map(reads_duration, (before, change.amount, change.condition))):
             return change.place
-    if any(reads_duration(each) for _, each in schema.conditions) or any(
-        reads_duration(each.condition) for _, _, each in schema.literals
-    ):
+    effects = [condition for _, before, each in schema.literals for condition in (before, each.condition)]
+    if any(map(reads_duration, (*effects, *(condition for _, condition in schema.conditions)))):
         return schema.place
     return None
 
@@ -230,7 +229,7 @@ def reader_of_duration(schema: TimedSchema) -> Place | None:
 class _Start:
     """The start effects of an action, through which conditions and numbers of s1 are rewritten as those of s."""
 
-    def __init__(self, file: Path, schema: TimedSchema, derived: frozenset[str]) -> None:
+    def __init__(self, file: Path, schema: TimedSchema, derived: Mapping[str, frozenset[str]]) -> None:
         self.file = file
         self.schema = schema
         self.literals = [
@@ -274,9 +273,10 @@ class _Start:
         return leaf._replace(parts=(leaf.parts[0], *map(self.number, leaf.parts[1:])))
 
     def _atom(self, atom: Expression) -> Expression:
-        if atom.head in self.derived and self.literals:
+        changed_at_start = {each.atom.head for each in self.literals} | {each.term.head for _, each in self.changes}
+        if changed_at_start & self.derived.get(atom.head, frozenset()):
             refuse(self.file, self.schema.place, f"durative action '{self.schema.name}': '{atom}' is derived, and read "
-                   "after effects at start; expected it (at start ...)")  # fmt: skip
+                   "after effects at start on which it depends; expected it (at start ...)")  # fmt: skip
         added, deleted = ([each for each in self.literals if each.holds is way and each.atom.head == atom.head]
                           for way in (True, False))  # fmt: skip
         ways = [disjunction(self._meets(each, atom) for each in those) for those in (added, deleted)]

@@ -16,7 +16,7 @@ from math import prod
 from ..system.errors import UnsuitedError
 from . import metric, numeric_encoding, numeric_schemas, timed_schemas, value_encoder
 from .compilation import MOST_VALUES, Compilation
-from .conditions import COMPLEMENT, FALSE, TRUE, conjuncts, free_variables, is_numeric, normal_form
+from .conditions import COMPLEMENT, FALSE, TRUE, conjuncts, free_variables, normal_form
 from .declarations import OBJECT, Symbol, Typed, Types, refuse
 from .formulas import LARGEST_COST, TIMES, Cost, listed, word
 from .instances import Expression
@@ -58,7 +58,6 @@ class Compiler:
         self.metric = metric.of_reading(reading, changing)
         self.roles = numeric_schemas.roles(timed, goal, (condition for _, condition in rules), self.metric)
         changed_facts = frozenset(each.atom.head for schema in timed for _, _, each in schema.literals)
-        derived = _derived(rules, changed_facts)
         self.statics = Statics(
             reading,
             reading.domain.predicates.keys() - changed_facts - {rule.head.name for rule, _ in rules},
@@ -71,7 +70,7 @@ class Compiler:
         except UnsuitedError:
             refuse(reading.instance.problem, None, "the goal compares too many numbers within (forall ...); expected "
                    "fewer objects")  # fmt: skip
-        preparation = Preparation(reading, self.statics, self.roles, self.metric, derived)
+        preparation = Preparation(reading, self.statics, self.roles, self.metric, _dependencies(rules))
         self.costed = [each for schema in timed for each in preparation.prepared(schema)]
         self.bounds = self._bounds(most_values)
 
@@ -338,17 +337,16 @@ def _compared(condition: Expression) -> set[str]:
     return set()
 
 
-def _derived(rules: Iterable[tuple[Rule, Expression]], changed: frozenset[str]) -> frozenset[str]:
-    """Return the derived predicates that depend on facts that actions change."""
-    found = {rule.head.name for rule, condition in rules if is_numeric(condition)}
-    size = -1
-    while size != len(found):
-        size = len(found)
-        for rule, condition in rules:
-            heads = {each.head for each in condition.walk()}
-            if heads & (changed | found):
-                found.add(rule.head.name)
-    return frozenset(found)
+def _dependencies(rules: Iterable[tuple[Rule, Expression]]) -> dict[str, frozenset[str]]:
+    """Return the predicates and functions that each derived predicate depends on, directly or not."""
+    found: dict[str, frozenset[str]] = {}
+    for rule, condition in rules:
+        found[rule.head.name] = found.get(rule.head.name, frozenset()) | {each.head for each in condition.walk()}
+    for middle in found:
+        for name, names in found.items():
+            if middle in names:
+                found[name] = names | found[middle]
+    return found
 
 
 class _Root:

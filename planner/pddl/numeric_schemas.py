@@ -7,7 +7,7 @@ there is one schema in which they are, and one in which they are not; likewise f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -107,7 +107,12 @@ class Preparation:
     """The steps from an action of the file to schemas for compilation."""
 
     def __init__(
-        self, reading: Reading, statics: Statics, found: Roles, metric: Metric, derived: frozenset[str]
+        self,
+        reading: Reading,
+        statics: Statics,
+        found: Roles,
+        metric: Metric,
+        derived: Mapping[str, frozenset[str]],
     ) -> None:
         self.file: Path = reading.instance.domain
         self.statics = statics

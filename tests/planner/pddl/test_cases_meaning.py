@@ -81,8 +81,27 @@ DURATIONS = {
         "(at end (= ?duration (f ?a))) :condition (at start (<= (f ?a) 3)) :effect (and (at start (increase (f ?a) 1)) "
         "(at end (done))))", "(:objects a - o) (:init (= (f a) 2)) (:goal (done))", 2,
     ),
+    **{
+        f"read by the condition of an effect {time}": (
+            "(:predicates (done)) (:functions (n)) (:durative-action wait :parameters () :duration (= ?duration (n)) "
+            ":condition (at start (<= (n) 3)) :effect (and (at end (increase (n) 1)) (when (at start (<= 3 ?duration)) "
+            f"({time} (done)))))", "(:init (= (n) 1)) (:goal (done))", 6,
+        ) for time in ("at start", "at end")
+    },
 }  # fmt: skip
-"""Durations that are stated at the end."""
+"""Durations that are stated at the end, or read by a condition at the start of an effect on a fact."""
+
+RULES = (
+    "(:predicates (ok) (done)) (:functions (n) (m)) (:derived (ok) (>= (n) 2)) (:action add :precondition (< (n) 5) "
+    ":effect (increase (n) 1)) (:durative-action end :parameters () :duration (= ?duration 1) :condition (over all "
+    "(ok)) :effect (and (at start ({} 1)) (at end (done))))"
+)
+DEPENDENT = {
+    "on what the start leaves": (
+        RULES.format("increase (m)"), "(:init (= (n) 0) (= (m) 0)) (:goal (and (done) (<= (m) 1)))", 3
+    ),
+}  # fmt: skip
+"""A derived predicate whose rule reads a number, and which is read after a change at start of another number."""
 
 TYPES = "(:types a b) (:predicates (s) (q) (r ?x - b)) "
 LIKE = "(:objects o - a) (:init (s)) (:goal (q))"
@@ -232,6 +251,7 @@ CASES = {
         "beyond": BEYOND,
         "started": STARTED,
         "duration": DURATIONS,
+        "dependent": DEPENDENT,
         "empty": EMPTY,
         "assigned": ASSIGNED,
         "divided": DIVIDED,
@@ -266,6 +286,14 @@ def test_a_negative_cost_that_no_condition_excludes_is_refused(tmp_path: Path) -
     (tmp_path / "domain.pddl").write_text(f"(define (domain d)\n{WORKED.format('(>= (n) 1)', '(- (n) 2)')})")
     (tmp_path / "p.pddl").write_text(f"(define (problem p) (:domain d)\n{PAY.format(1)})")
     with pytest.raises(PDDLError, match=r"domain.pddl:2: action 'work' may cost -1; expected a comparison among its"):
+        load(tmp_path / "p.pddl")
+
+
+@pytest.mark.parametrize("change", ["increase (n)", "decrease (n)"])
+def test_a_rule_that_depends_on_a_number_that_the_start_changes_is_refused(tmp_path: Path, change: str) -> None:
+    (tmp_path / "domain.pddl").write_text(f"(define (domain d)\n{RULES.format(change)})")
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init (= (n) 0) (= (m) 0)) (:goal (done)))")
+    with pytest.raises(PDDLError, match=r"domain.pddl:2: .*'\(ok\)' is derived, and read after effects at start on"):
         load(tmp_path / "p.pddl")
 
 
