@@ -260,6 +260,8 @@ def _literal(scope: Scope, literal: Literal) -> Expression:
 def _costs(scope: Scope, costed: Costed) -> tuple[tuple[str, ...], dict[tuple[str, ...], Number]]:
     """Return the variables on which the cost of an action depends, and the costs for their objects."""
     cost, schema = costed.cost, costed.schema
+    if schema.duration is not None and not scope.statics.is_static(schema.duration):
+        scope.compare(listed(word(">="), schema.duration, word("0")))
     for what, expression in (("duration", schema.duration), ("cost", cost)):
         if expression is not None and scope.statics.is_static(expression):
             variables, rows = scope.static_rows(expression)
@@ -279,8 +281,6 @@ def _costs(scope: Scope, costed: Costed) -> tuple[tuple[str, ...], dict[tuple[st
         if number < 0 and scope.may_be((sums.variable,), [(object_,)]):
             refuse(scope.encoder.file, schema.place, f"action '{schema.name}' may cost {as_shown(number)}; expected a "
                    "comparison among its conditions, outside of 'or', that excludes costs below 0")  # fmt: skip
-    if schema.duration is not None and not scope.statics.is_static(schema.duration):
-        scope.compare(listed(word(">="), schema.duration, word("0")))
     return (sums.variable,), {(name,): number for name, number in priced.items() if number >= 0}
 
 

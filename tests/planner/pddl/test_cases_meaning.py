@@ -91,6 +91,26 @@ DURATIONS = {
 }  # fmt: skip
 """Durations that are stated at the end, or read by a condition at the start of an effect on a fact."""
 
+SHRINKING = (
+    "(:predicates (done)) (:functions (n) (k) (total-cost)) (:durative-action work :parameters () :duration "
+    "(= ?duration {}) :condition (at start (>= (n) -1)) :effect (and (at end (decrease (n) 2)) {}))"
+)
+LEFT = "(:init (= (n) 1)) (:goal (= (n) {})) {}"
+NEGATIVE = {
+    f"{name}, {kind}": (SHRINKING.format(amount, effect), LEFT.format(left, metric), cost)
+    for kind, effect, metric in (
+        ("is the cost", "", ""),
+        ("beside a cost", "(at end (increase (total-cost) 1))", "(:metric minimize (total-cost))"),
+    )
+    for name, amount, left, cost in (
+        ("a duration above 0", "(n)", -1, 1),
+        ("a duration below 0", "(n)", -3, math.inf),
+        ("a duration without a value", "(k)", -1, math.inf),
+        ("a quotient by 0", "(/ 1 (- (n) 1))", -1, math.inf),
+    )
+}
+"""Durations of numbers that change: without one of 0 or more, an action is not applicable, whatever the metric is."""
+
 RULES = (
     "(:predicates (ok) (done)) (:functions (n) (m)) (:derived (ok) (>= (n) 2)) (:action add :precondition (< (n) 5) "
     ":effect (increase (n) 1)) (:durative-action end :parameters () :duration (= ?duration 1) :condition (over all "
@@ -251,6 +271,7 @@ CASES = {
         "beyond": BEYOND,
         "started": STARTED,
         "duration": DURATIONS,
+        "negative": NEGATIVE,
         "dependent": DEPENDENT,
         "empty": EMPTY,
         "assigned": ASSIGNED,
