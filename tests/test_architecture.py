@@ -62,9 +62,9 @@ ROOMS = {
         rule_families neighbours_in_logs
         likelihood_table likelihood_arrays first_estimates person_estimate maximum_likelihood
         logit_likelihood hierarchy misconception_fit
-        diagnostics distribution population fit goals posterior_sample
+        diagnostics distribution population fit goals
         influence_population
-        rule_search trust_fit held_out""",
+        trust_fit held_out""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
     "assist.drawing.plots": """shown_figure style labels panels_by_name episode belief watched people policies
         trade_off study userstudy""",

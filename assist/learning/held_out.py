@@ -31,7 +31,7 @@ from .logit_likelihood import Likelihood
 from .neighbours_in_logs import seen_families
 from .observations import Observations
 from .rule_families import RuleFamily, families, family_of, name_of, parameters_of
-from .rule_search import RuleSearch
+from .trust_fit import RuleSearch
 
 REFERENCE = "constant"
 

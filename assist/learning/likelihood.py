@@ -12,7 +12,7 @@ can only be a lapse, and a suggestion does not move theta.
 - one person, whose episodes each begin with theta_0 and whose theta moves by equation (7): the maximum over beta,
   theta_0 and the rule's eta, and likelihood-ratio intervals (`maximum_likelihood`);
 - a population, and the parameters of a trust rule: the maximum of the marginal likelihood, that is, of the table's
-  mean over nodes of beta and theta_0 (`likelihood_table`, `population`, `influence_population`, `rule_search`);
+  mean over nodes of beta and theta_0 (`likelihood_table`, `population`, `influence_population`, `trust_fit`);
 - goals: the table of an episode, normalised over goals (`goal_posteriors`);
 - comparisons: the same with people whom the fit has not seen (`held_out`).
 

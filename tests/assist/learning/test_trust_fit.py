@@ -20,13 +20,11 @@ from assist.learning import Method, Observations, observed
 from assist.learning.comparison import Comparison, ratio
 from assist.learning.distribution import trust_of
 from assist.learning.held_out import REFERENCE, compare_rules
-from assist.learning.influence_population import InfluencePopulation
+from assist.learning.influence_population import InfluencePopulation, PosteriorSample, posterior_covariance
 from assist.learning.intervals import equal_tailed, holm
 from assist.learning.likelihood_table import LikelihoodTable
-from assist.learning.posterior_sample import PosteriorSample, posterior_covariance
 from assist.learning.rule_families import RuleFamily, families
-from assist.learning.rule_search import RuleSearch
-from assist.learning.trust_fit import fit_influence
+from assist.learning.trust_fit import RuleSearch, fit_influence
 from assist.people.choices import Choices
 from assist.people.trust_rules import (
     LEAST,
