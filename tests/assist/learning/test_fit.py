@@ -140,6 +140,11 @@ def test_who_never_errs_gets_a_stated_bound(tiny: Table) -> None:
     assert other.beta_interval[1] == other.estimates["beta"].value == pytest.approx(3.0)
 
 
+def test_theta_stays_where_its_rate_is_known_to_be_zero(tiny: Table) -> None:
+    (found,) = maximum_likelihood(observed(tiny, lines(FETCH, WRONG, told={0: FETCH, 1: RIGHT})), Method(eta=0.0))
+    assert (found.rate, set(found.thetas())) == (0.0, {found.estimates["theta"].value})
+
+
 def test_random_actions_and_no_choices(tiny: Table) -> None:
     (back_and_forth,) = maximum_likelihood(observed(tiny, lines(*[FETCH, BACK] * 10)))
     assert back_and_forth.estimates["beta"].value == 0

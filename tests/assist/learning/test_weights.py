@@ -20,7 +20,7 @@ from assist.learning import Log, Method, Observations, compare_models, fit, fit_
 from assist.learning.comparison import folds_of
 from assist.learning.hierarchy import fit_hierarchy, fit_terms, intervals, pooled
 from assist.learning.likelihood_table import LikelihoodTable
-from assist.learning.logit_likelihood import BETA, THETA, Likelihood, maximise
+from assist.learning.logit_likelihood import BETA, THETA, Likelihood, Prior, maximise
 from assist.people import NOTHING, TERMS, Choices, Weighted, choice, influence, lapse, remembered
 from assist.people.trust_rules import EquationSeven
 from planner import Instance, Table, sweep
@@ -240,6 +240,12 @@ def test_the_rate_of_trust_has_an_interval_also_beside_terms() -> None:
 
 def test_nobody_is_left_on_a_lower_maximum() -> None:
     likelihood = replace(Likelihood.of(trusting(), Method()), eta=0.3)
+    prior = Prior(np.array([4.0, 0.0]), np.array([10.0, 0.05]))
+    start = np.tile([2.0, -4.0], (len(trusting()), 1))
+    at, value, _ = maximise(likelihood, start, np.zeros_like(start, dtype=bool), prior)
+    points = likelihood.ranges.thetas()
+    off = 5.0 * (at[:, BETA] - 4.0) ** 2 + 0.025 * points[:, None] ** 2
+    assert ((likelihood.by_trust(at, points, np.array([0.3]))[:, 0] - off.T).max(axis=1) < value + 1e-5).all()
     best = intervals(likelihood, np.tile([4.0, 0.0], (len(trusting()), 1)), 0.95)[2]
     b = np.linspace(0.5, likelihood.ranges.high[BETA], 40)
     t = np.linspace(likelihood.ranges.low[THETA], likelihood.ranges.high[THETA], 101)
