@@ -101,7 +101,7 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
     from planner import Table, verify
     from planner.batch.results_folder import SolveOptions
     from planner.batch.solve_instance import solve_instance
-    from planner.costtogo.verification import check_successors, sample
+    from planner.costtogo.astar import check_successors, sample
 
     compared = {"verified": 0, "consistent": 0, "compare_cpu": 0.0}
 

@@ -1,4 +1,5 @@
 from .costtogo.astar import astar as astar
+from .costtogo.astar import verify as verify
 from .costtogo.cost_to_go import CostToGo as CostToGo
 from .costtogo.cost_to_go import Plan as Plan
 from .costtogo.cost_to_go import State as State
@@ -17,7 +18,6 @@ from .costtogo.table import Table as Table
 from .costtogo.table import open_table as open_table
 from .costtogo.table import save_table as save_table
 from .costtogo.table import sweep as sweep
-from .costtogo.verification import verify as verify
 from .grounding.fast_downward import FastDownwardError as FastDownwardError
 from .grounding.task import Effect as Effect
 from .grounding.task import Operator as Operator

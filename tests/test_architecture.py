@@ -28,7 +28,7 @@ ROOMS = {
     "planner.search": """state_space search_space sorted_space numbering invariants
         variable_clusters state_ranking automorphisms successor_generator state_registry
         ranked_index""",
-    "planner.costtogo": """trial_states number_values load cost_to_go table astar verification goal_tables
+    "planner.costtogo": """trial_states number_values load cost_to_go table astar goal_tables
         orbit_table on_demand portfolio""",
     "planner.batch": "results_folder solve_instance solve_batch",
     "planner": "engine",

@@ -17,7 +17,9 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from ..costtogo.astar import Answer, Early, search_of
+import numpy as np
+
+from ..costtogo.astar import Answer, Early, check_plan, check_successors, mismatch, search_of, verify
 from ..costtogo.number_values import grounded
 from ..grounding.fast_downward import FastDownwardError
 from ..grounding.task import Task, plan_cost, replay
@@ -362,8 +364,6 @@ def _planned(
     A task without a plan is not waited for. `unplanned` is the record that is reported if the plan does not come at
     once.
     """
-    from ..costtogo.verification import check_plan, mismatch
-
     cost = float(table[table.initial])
     small = len(table) <= options.small
     with phases.phase("plan", "A* from the initial state"):
@@ -383,10 +383,6 @@ def _planned(
 
 def _counted(table: Table, options: SolveOptions, phases: _Phases) -> SolveRecord:
     """Compare a table with its own successors, and return the fields about it."""
-    import numpy as np
-
-    from ..costtogo.verification import check_successors
-
     (count, seconds), consistent = _allowed(table, options, phases), 0
     if count:
         with phases.phase("verify", "comparing states with their successors"):
@@ -460,10 +456,6 @@ def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Solve
     """
     # Largest number of seconds for the comparison of one state, so that one hard state does not use up all the time.
     comparison = 300.0
-    import numpy as np
-
-    from ..costtogo.verification import verify
-
     what, each = "comparing states with A*", phases.limits().seconds
     count, seconds = _allowed(table, options, phases)
     if options.verify is None and answer is None and len(table) > options.small:

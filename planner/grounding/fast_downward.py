@@ -18,6 +18,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -126,33 +127,47 @@ def with_initial_state(sas: str, state: Sequence[int]) -> str:
 
 
 def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> tuple[int, str]:
-    """Run a program in a folder, with a text as its input; return its exit code and its output.
+    """Run a program in a folder; return its exit code and its output.
 
-    The program does not outlive this process. Its input is a file, since a pipe may hold less of it.
+    The program does not outlive this process.
     """
-    given = Path(folder) / "input"
-    given.write_text(text or "", encoding="utf-8")
-    with (
-        given.open("rb") as stdin,
-        subprocess.Popen(
-            command,
-            cwd=folder,
-            stdin=stdin,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            process_group=guarded_group(),
-        ) as process,
-    ):
-        try:
-            seconds = [each for each in (limits.seconds, limits.processor_seconds) if each is not None]
-            limit_process(process.pid, limits.memory_mb, min(seconds, default=None))
-            output = _output(process, limits)
-        finally:
-            process.kill()  # unless it has ended
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        process_group=guarded_group(),
+    )
+    try:
+        given = [each for each in (limits.seconds, limits.processor_seconds) if each is not None]
+        limit_process(process.pid, limits.memory_mb, min(given, default=None))
+        _give(process, text or "")
+        output = _output(process, limits)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(BrokenPipeError):
+                    pipe.close()
     return process.returncode, output
+
+
+def _give(process: subprocess.Popen[str], text: str) -> None:
+    """Write the input of a program whose limits have been set: it waits for its input, so that it cannot be faster.
+
+    The whole input is written at once, since a repeated call of `communicate` loses the unwritten part. These programs
+    read all input before they print anything, or they end.
+    """
+    given, process.stdin = process.stdin, None
+    assert given is not None
+    with suppress(BrokenPipeError), given:
+        given.write(text)
 
 
 def _output(process: subprocess.Popen[str], limits: Limits) -> str:

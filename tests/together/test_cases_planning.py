@@ -21,7 +21,7 @@ from planner import LimitError, Limits, MismatchError, PDDLError, Table, astar, 
 from planner.batch import solve_instance as solving
 from planner.batch.results_folder import SWEEPING, SolveOptions
 from planner.batch.solve_instance import solve_instance
-from planner.costtogo.verification import check_plan
+from planner.costtogo.astar import check_plan
 from planner.grounding import fast_downward
 from planner.grounding.task import plan_cost
 from planner.pddl import validation
@@ -213,7 +213,7 @@ def test_where_a_star_does_not_answer_soon_the_table_is_checked_at_once(
         raise LimitError("Fast Downward was stopped")
 
     monkeypatch.setattr("planner.costtogo.astar.astar", never)
-    monkeypatch.setattr("planner.costtogo.verification.astar", None)  # nothing more may be asked of it
+    monkeypatch.setattr(solving, "verify", None)  # nothing more may be asked of it
     options = SolveOptions(soon=0.2, small=0, first_answer_after=0.0)
     told: list[dict] = []
     record = solve_instance(instance(TINY), options, tmp_path / "tiny", tell=lambda record, _: told.append(record))

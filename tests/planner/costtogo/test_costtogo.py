@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,9 +25,9 @@ from planner import (
     sweep_goals,
     verify,
 )
-from planner.costtogo import goal_tables, verification
+from planner.costtogo import goal_tables
+from planner.costtogo.astar import check_successors
 from planner.costtogo.cost_to_go import optimal_choices
-from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
 from planner.grounding.task import plan_cost
 from planner.grounding.translation import from_sas
@@ -151,7 +152,7 @@ def test_a_state_that_takes_too_long_is_left_out(table: Table, monkeypatch: pyte
             raise LimitError("out of time")
         return H[state[0]], None
 
-    monkeypatch.setattr(verification, "astar", search)
+    monkeypatch.setattr("planner.costtogo.astar.astar", search)
     assert verify(table, 7, np.random.default_rng(0), progress=told.append) == 6
     assert (len(asked), told) == (7, [1, 2, 3, 4, 5, 6])
 
@@ -166,6 +167,14 @@ def test_a_program_that_begins_late_gets_all_of_its_task(tmp_path: Path) -> None
     limits = Limits(seconds=60, stop=threading.Event())
     code, output = fast_downward._run(["sh", "-c", "sleep 0.1; wc -c"], str(tmp_path), "x" * 500_000, limits)
     assert (code, output.strip()) == (0, "500000")
+
+
+def test_a_program_begins_its_task_when_its_limits_are_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine that may be late. 512 MB are 500,000 kB of 1,024 bytes."""
+    limit = fast_downward.limit_process
+    monkeypatch.setattr(fast_downward, "limit_process", lambda *of: (time.sleep(0.2), limit(*of)))
+    says = ["sh", "-c", "read line; ulimit -v"]
+    assert fast_downward._run(says, str(tmp_path), "task\n", Limits(memory_mb=512)) == (0, "500000\n")
 
 
 def test_a_program_that_finds_no_room_to_begin_is_out_of_memory() -> None:

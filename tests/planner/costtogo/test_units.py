@@ -21,8 +21,8 @@ from assist.person.closed_problem import closed_problem
 from assist.person.truncated_task import TruncatedTask
 from assist.team.pool import Pool
 from planner import OnDemand, Table, Task, Transitions, astar, open_table, optimal_choices, save_table, sweep, verify
+from planner.costtogo.astar import check_successors
 from planner.costtogo.orbit_table import orbits
-from planner.costtogo.verification import check_successors
 
 TENTHS = [(1, 2, 1), (2, 0, 2), (1, 0, 3), (1, 3, 1), (3, 0, 3)]
 """Two optimal ways from node 1, of cost 1 + 2 and 3, and a worse one."""

@@ -11,7 +11,7 @@ import pytest
 from assist import Assistant
 from assist.people.choices import Choices
 from planner import Instance, OnDemand, Task, astar, sweep, verify
-from planner.costtogo.verification import check_successors
+from planner.costtogo.astar import check_successors
 from planner.grounding import fast_downward
 from planner.grounding.task import replay
 from planner.grounding.translation import from_sas, in_the_files_terms

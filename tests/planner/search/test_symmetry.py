@@ -35,8 +35,8 @@ from planner import (
 from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
 from planner.costtogo import on_demand
+from planner.costtogo.astar import check_successors
 from planner.costtogo.orbit_table import OrbitTable, orbits
-from planner.costtogo.verification import check_successors
 from planner.grounding.task import plan_cost, replay
 from planner.search.automorphisms import Forms, Symmetries, canonical, symmetries
 
