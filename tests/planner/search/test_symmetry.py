@@ -268,7 +268,9 @@ def test_answers_on_demand_are_looked_up_where_orbits_fit(monkeypatch):
     assert isinstance(known, OnDemand)
     assert (known.method, known.searches, known.reason) == ("on-demand", False, "more than 6183 states")
     numbers = known.numbers(table.values(np.arange(len(table))))
-    np.testing.assert_array_equal(known.lookup(numbers), table.h)
+    told: list[int] = []
+    np.testing.assert_array_equal(known.lookup(numbers, told.append), table.h)
+    assert told == [len(table)]
     np.testing.assert_array_equal(known.known(numbers), table.h)
     assert len(known) == len(table)
     rows, own = known.choices(numbers[:100]), table.choices(np.arange(100))
