@@ -26,7 +26,7 @@ def test_cost_to_go_equals_fast_downwards(instance: Instance) -> None:
     assert compared == min(6, len(table.space))
 
 
-@pytest.mark.parametrize("instance", WITH_STATES, ids=named)
+@pytest.mark.parametrize("instance", thinned(WITH_STATES), ids=named)
 def test_cost_to_go_equals_scipys_dijkstra(instance: Instance) -> None:
     table = table_of(instance)
     space = table.space
