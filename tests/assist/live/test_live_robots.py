@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 from sessions import EASY, SETTING
-from starlette.testclient import TestClient
+from test_live_web import Web
 
 from assist.declare import InapplicableError, Refusal
 from assist.live import Acted, Arrived, Assistant, Joined, Session
-from assist.live.live_setting import LiveSetting
 from assist.people.ranges import Population
 from assist.person import Robot, Setting
-from assist.web.app import make_app
-from assist.web.service import Service
-from assist.web.tokens import AccessTokens
 from planner import Table
 
 WRONG = "(place hammer slot-2 box-a)"
@@ -140,15 +135,9 @@ def test_two_robots_that_report_the_same_arrival(tiny: Table, tmp_path: Path) ->
 
 
 def test_the_service_has_an_address_for_each_robot(tiny: Table, tmp_path: Path) -> None:
-    setting = LiveSetting(c_suggest=0.02, c_move=0.01, trust="paper", robots=2, tick=60.0)
-    session = Session({"tiny": tiny}, tmp_path / "journal.sqlite", setting=setting, population=Population())
-    session.report_all([Joined(person=name) for name in ("ann", "bob")])
-    access = AccessTokens.kept(tmp_path / "secret", "http://testserver")
-
-    def ask(method: str, path: str, **more: Any) -> Any:
-        return client.request(method, path, headers={"Authorization": f"Bearer {access.operator}"}, **more)
-
-    with TestClient(make_app(Service(session, access)), raise_server_exceptions=False) as client:
+    web = Web(tiny, tmp_path, robots=2)
+    ask = web.ask
+    with web.client:
         for name in ("ann", "bob"):
             for action in ("(fetch box-a)", WRONG):
                 assert ask("POST", f"/api/people/{name}/actions", json={"action": action}).status_code == 200

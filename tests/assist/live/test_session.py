@@ -61,6 +61,7 @@ TEAMS: dict[str, Setting] = {
     "doubt": Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01, observation=ObservationModel(0.05, 0.1)),
 }
 ARRIVED = [("arrived", 0, 0), ("elapsed", 0, 0), ("paused", 0, 0), ("elapsed", 0, 0)]
+LEFT = [("acted", 0, 0), ("acted", 0, 1), ("left", 0, 0), ("paused", 0, 0), ("joined", 0, 0)]  # a robot under way
 ANSWERED = [("doubted", 0, 4), ("answered", 0, 1), ("alike", 0, 0), ("answered", 0, 1)]
 
 
@@ -75,6 +76,7 @@ def solved(name: str) -> Policy:
 @given(st.sampled_from([*TEAMS]), st.data())
 @example("two robots", (ARRIVED, []))
 @example("on its way", ([("arrived", 1, 0), ("paused", 0, 0)], []))
+@example("on its way", (LEFT, [("resumed", 0, 0)]))
 @example("doubt", (ANSWERED, [("acted", 0, 0)]))
 def test_a_session_that_goes_on_is_the_same_to_the_bit_and_who_is_erased_changes_nothing_for_the_others(
     tmp_path_factory: pytest.TempPathFactory, name: str, data: Any
@@ -116,26 +118,6 @@ def test_a_session_that_goes_on_is_the_same_to_the_bit_and_who_is_erased_changes
     assert all(row["person"] != "b" for row in erased.log())
     left.close()
     erased.close()
-
-
-def test_a_robot_whose_person_left_and_came_back_is_not_under_way_after_a_restart(tiny: Table, tmp_path: Path) -> None:
-    """It was under way when the person left, so that it counts as being there, and makes a suggestion."""
-    setting = Setting(c_suggest=0.0, c_move=0.0, travel_time=2.0)
-    session = Session(tiny, tmp_path / "journal.sqlite", setting=setting)
-    session.join("ann")
-    session.observe("ann", "(fetch box-a)")
-    session.observe("ann", WRONG)
-    assert (session.recommend().person, session.recommend().arrived) == ("ann", False)
-    session.leave("ann")
-    session.pause()
-    session.join("ann")
-    before = all_of(session)
-    session.close()
-    session = Session(tiny, tmp_path / "journal.sqlite", setting=setting)
-    assert all_of(session) == before
-    session.pause(False)
-    assert (session.recommend().person, session.recommend().arrived) == ("ann", True)
-    session.close()
 
 
 def test_the_same_id_is_answered_as_the_first_and_happens_once(opened: Callable[..., Session]) -> None:

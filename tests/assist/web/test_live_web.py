@@ -52,9 +52,9 @@ class Web:
 
     def __init__(
         self, table: Table, folder: Path, *, ping: float = 15.0, check: float = 1.0, base: str = "http://testserver",
-        **more: Any,
+        robots: int = 1, **more: Any,
     ) -> None:  # fmt: skip
-        setting = LiveSetting(c_suggest=0.02, c_move=0.01, trust="paper", tick=60.0)
+        setting = LiveSetting(c_suggest=0.02, c_move=0.01, trust="paper", robots=robots, tick=60.0)
         session = Session({"tiny": table}, folder / "journal.sqlite", setting=setting, population=Population())
         if not session.people:
             session.report_all([Joined(person=name) for name in ("ann", "bob")])

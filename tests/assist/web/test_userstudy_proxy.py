@@ -15,11 +15,10 @@ from urllib.parse import urljoin
 
 import pytest
 from conftest import ROOT
-from networks import NGINX, free_port, proxy, running
+from networks import NGINX, conducted, free_port, proxy, running
 from userstudies import PLAN, written
 
 from assist.studies.userstudy import StudySession, read
-from assist.studies.userstudy.tables import tables
 from assist.web.app import make_app
 from assist.web.request_limits import Allowance, networks
 from assist.web.server import address, listen
@@ -90,17 +89,10 @@ def test_a_study_completes_behind_a_proxy_that_fails_twice(
 
 @pytest.mark.slow
 def test_the_example_of_the_documentation_takes_part_in_a_study(tiny: Table, tmp_path: Path) -> None:
-    listening = listen("127.0.0.1", 0)
-    base = address(listening)
-    text = PLAN.replace("seed = 3", "seed = 3\nparticipants = 1")
-    study, tasks = read(written(tmp_path / "study.toml", text)), {"tiny": tiny, "practice": tiny}
-    session = StudySession(study, tasks, tmp_path / "data")
-    service = StudyService(session, AccessTokens.kept(tmp_path / "data" / "secret", base))
     file = ROOT / "docs" / "examples" / "take_part.py"
-    example = runpy.run_path(str(file))
-    with running(make_app(service, more=[router]), listening):
-        last = example["take_part"](service.join_url(), "a visitor")
+    with conducted(tiny, tmp_path, PLAN.replace("seed = 3", "seed = 3\nparticipants = 1")) as service:
+        last = runpy.run_path(str(file))["take_part"](service.join_url(), "a visitor")
         late = subprocess.run([sys.executable, file, service.join_url()], capture_output=True, text=True, timeout=60)
     assert (late.returncode, late.stderr.count("\n")) == (1, 1), late.stderr
     assert last["study"]["completion"]
-    assert [one["status"] for one in tables(study, tmp_path / "data" / "journal.sqlite").participants] == ["done"]
+    assert [one.status for one in service.session.see(service._overview).participants] == ["done"]
