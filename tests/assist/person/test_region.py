@@ -20,6 +20,7 @@ from assist.people import Choices, Goals, Human, HumanModel, Misconception, Popu
 from assist.person import AssistPOMDP, Assumptions, OfRobots, PersonProblem, Setting, Solution, TruncatedTask, solve
 from assist.person import truncated_task as region
 from assist.person.closed_problem import closed_problem
+from assist.person.each_goal import given_goals
 from assist.person.likely_states import perceived_of_states
 from assist.person.mdp_values import evaluate
 from assist.person.pomdp import Behaviour
@@ -56,6 +57,17 @@ def test_a_part_has_the_choices_of_the_task(several: bool) -> None:
     outside = np.setdiff1d(np.arange(len(full)), rows)
     assert (part.local(outside) == -1).all()
     assert part.local(np.array([len(full), rows[0]])).tolist() == [-1, 0]  # a number beyond all of them
+
+
+def test_each_goals_problem_is_that_of_people_with_that_goal() -> None:
+    goals = three_goals("tiny")
+    more: dict[str, Any] = {"suggestions": "all", "robot": OfRobots(c_suggest=0.2)}
+    every = given_goals(AssistPOMDP.of(HumanModel.exact(goals.choices()), **more))
+    assert [share for share, _ in every] == list(goals.prior.values())
+    for (_, problem), table in zip(every, goals.tables.values(), strict=True):
+        alone = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), **more)
+        np.testing.assert_allclose(problem.prior, alone.prior, rtol=1e-12)
+        np.testing.assert_allclose(qmdp(problem).value_mdp, qmdp(alone).value_mdp, atol=1e-5)
 
 
 def test_a_truncated_task_of_all_goals_has_bounds_for_each() -> None:
