@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import random
-import shutil
-import time
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import pytest
 from graphs import graph_task
@@ -21,7 +12,7 @@ from sessions import EASY, SETTING
 from store_faults import Failing, schedule
 
 from assist.declare import AbsentError
-from assist.live import Acted, Joined, JournalError, Session, TeamRecord
+from assist.live import JournalError, Session, TeamRecord
 from assist.live.live_task import LiveTask
 from assist.live.store import EventStore, stored
 from assist.live.team import Team
@@ -131,95 +122,6 @@ def test_faults_of_the_store_lose_and_double_nothing(tiny: Table, tmp_path: Path
     solved = LiveTask(tiny, SETTING.for_real_people(), EASY).policy  # once for all sessions
     for seed in range(first, 6 if first == 0 else 100):
         schedule(solved, tmp_path, seed)
-
-
-FORK = multiprocessing.get_context("fork")  # a new interpreter would first import everything
-
-
-def acts(task: Table, file: Path, says: Connection) -> None:
-    """Act in turn for two people, and say the number of each action once it is acknowledged."""
-    session = Session(task, file)
-    for name in ("ann", "bob"):
-        if name not in session.people:
-            session.join(name)
-    number = len(session.log())
-    while True:
-        name = ("ann", "bob")[number % 2]
-        steps = session.person(name)["steps"]
-        session.observe(name, "(fetch box-a)" if steps % 2 == 0 else "(return box-a)", id=str(number))
-        says.send(number)
-        number += 1
-
-
-@contextmanager
-def forked(work: Callable[[Table, Path, Connection], None], task: Table, file: Path) -> Iterator[Any]:
-    """A process of its own that does this work, and what it says; it is killed at the end."""
-    hears, says = FORK.Pipe(duplex=False)
-    process = FORK.Process(target=work, args=(task, file, says), daemon=True)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which the process does not use
-        process.start()
-    says.close()
-    try:
-        yield hears
-    finally:
-        process.kill()
-        process.join()
-
-
-@pytest.mark.slow
-def test_a_killed_process_loses_nothing_that_was_acknowledged(tiny: Table, tmp_path: Path) -> None:
-    file, rng, acknowledged = tmp_path / "journal.sqlite", random.Random(4), 0
-    for _ in range(4):
-        with forked(acts, tiny, file) as hears:
-            for _ in range(rng.randint(1, 60)):
-                acknowledged = hears.recv() + 1
-        records = [record for _, record in stored(file)[1] if record["event"]["kind"] == "acted"]
-        assert [record["event"]["id"] for record in records] == [str(number) for number in range(len(records))]
-        assert len(records) >= acknowledged
-    session = Session(tiny, file)
-    assert len(session.log()) == len(records)
-    session.close()
-
-
-def erases(task: Table, file: Path, says: Connection) -> None:
-    session = Session(task, file)
-    says.send("ready")
-    session.erase("Bartholomew", "as asked")
-    says.send("erased")
-
-
-@pytest.mark.slow
-def test_a_process_that_is_killed_while_it_erases_has_erased_everything_or_nothing(tiny: Table, tmp_path: Path) -> None:
-    sound, rng = tmp_path / "sound.sqlite", random.Random(4)
-    session = Session(tiny, sound)
-    session.report_all([Joined(person="Bartholomew"), Joined(person="ann")])
-    for number in range(200):
-        action = ("(fetch box-a)", "(return box-a)")[number % 2]
-        session.report_all(
-            [Acted(person=name, action=action, id=f"{name}-{number}") for name in ("Bartholomew", "ann")]
-        )
-    belief = session.beliefs()["ann"]
-    session.close()
-    for attempt in range(6):
-        file = tmp_path / str(attempt) / "journal.sqlite"
-        file.parent.mkdir()
-        shutil.copy(sound, file)
-        with forked(erases, tiny, file) as hears:
-            assert hears.recv() == "ready"
-            time.sleep(0.6 * rng.random() ** 3)  # an erasure takes some hundredths to tenths of a second
-        try:
-            acknowledged = hears.recv() == "erased"
-        except EOFError:
-            acknowledged = False
-        session = Session(tiny, file)
-        assert session.beliefs()["ann"] == belief
-        gone = "Bartholomew" not in session.people and len(session.tombstones()) == 1
-        left = [row for row in session.log() if row["person"] == "Bartholomew"]
-        assert len(left) == (0 if gone else 200)
-        session.close()
-        assert (b"Bartholomew" in content(file.parent)) != gone
-        assert gone or not acknowledged
 
 
 # Files.
