@@ -36,6 +36,7 @@ def total(env: Any, policy: str) -> list[float]:
     for episode in range(EPISODES):
         seen, info = env.reset(seed=5 if episode == 0 else None)
         discounted, step, over = 0.0, 0, False
+        assert not any(one["erred"].any() for one in (seen.values() if agents else [seen]))
         while not over:
             if agents:  # each sees its own place first, and possible actions are legal
                 assert all(seen[agent] in env.observation_space(agent) for agent in env.agents)
