@@ -114,11 +114,11 @@ class Matcher:
             return "an empty action"
         if words in self.beginnings or words == (STAND_STILL[1:-1],):
             return None
+        none = "none that can never be done or never changes anything"
         if words[:1] not in self.beginnings:
-            return f"{_shown(words)}: no action of the task is called '{words[0]}'"
-        why = (
-            "" if set(words[1:]) - self.objects else ", which has none that can never be done or never changes anything"
-        )
+            why = "" if nearest(words[0], {known[0] for known in self.words}) else f"; it has {none}"
+            return f"{_shown(words)}: no action of the task is called '{words[0]}'{why}"
+        why = "" if set(words[1:]) - self.objects else f", which has {none}"
         return f"{_shown(words)} is no action of the task{why}"
 
     def meant(self, words: Words) -> Words | None:

@@ -19,7 +19,7 @@ from typing import TypeVar
 
 from ..pddl.compilation import Compilation
 from ..pddl.declarations import Typed, refuse
-from ..pddl.instances import Instance
+from ..pddl.instances import Expression, Instance
 from ..pddl.numeric_expressions import Number
 from ..pddl.reader import Action, Reading
 from ..system.limits import NO_LIMITS, Limits
@@ -39,7 +39,29 @@ def ground(compilation: Compilation, limits: Limits = NO_LIMITS) -> Task:
     check(reading, task)
     if compilation.numbers:
         task = with_plain_assignments(task)
-    return in_the_files_terms(task, compilation)
+    task = in_the_files_terms(task, compilation)
+    left_out = _left_out(compilation)
+    if not left_out:
+        return task
+    said = f"actions without an effect on states are left out: {', '.join(left_out)}"
+    return replace(task, note="; ".join(filter(None, (task.note, said))))
+
+
+def _left_out(compilation: Compilation) -> list[str]:
+    """Return the file's actions without effects in the compilation, which the translator drops."""
+    found: dict[str, bool] = {}
+    for name, action in compilation.reading.domain.actions.items():
+        own = compilation.actions.get(name, (name, 0))[0]
+        found[own] = found.get(own, False) or _changes_facts(action.effect)
+    return [name for name, changes in found.items() if not changes]
+
+
+def _changes_facts(effect: Expression) -> bool:
+    """Return whether an effect changes facts, and not costs alone."""
+    if effect.head in ("and", "when", "forall"):
+        own = effect.parts[1:] if effect.head == "and" else effect.parts[2:]
+        return any(map(_changes_facts, own))
+    return bool(effect.parts) and effect.head != "increase"
 
 
 def from_sas(sas: str, instance: Instance, note: str | None = None) -> Task:

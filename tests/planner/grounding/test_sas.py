@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_sweep import COMPILED, UNLISTED, SweepOptions, counter, random_task
 
+from assist.people.action_names import Matcher
 from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, sweep
 from planner.costtogo.astar import ADMISSIBLE
 from planner.costtogo.number_values import grounded
@@ -149,3 +151,21 @@ def test_costs_are_divided_by_what_divides_all() -> None:
     assert task.reduced.reduced is task.reduced
     assert check(task) == 21
     assert replace(task, costs=(0, 0)).reduced.costs == (0, 0)
+
+
+@pytest.mark.parametrize("effect", ["(and)", "(increase (total-cost) 5)", "(when (on) (increase (unread) 1))"])
+def test_an_action_without_an_effect_on_states_is_left_out_and_named(tmp_path: Path, effect: str) -> None:
+    (tmp_path / "domain.pddl").write_text(
+        "(define (domain d) (:predicates (on) (seen)) (:functions (total-cost) (unread)) (:action press :parameters () "
+        ":effect (on)) (:action look :parameters () :effect (when (on) (seen))) "
+        f"(:action idle :parameters () :effect {effect}))"
+    )
+    problem = tmp_path / "p.pddl"
+    problem.write_text(
+        "(define (problem p) (:domain d) (:init (= (unread) 0)) (:goal (on)) (:metric minimize (total-cost)))"
+    )
+    task = load(problem)
+    assert task.actions == ("(look)", "(press)")
+    assert str(task.note).endswith("actions without an effect on states are left out: idle")
+    refused = Matcher(task.actions).unknown(("idle",))
+    assert str(refused).endswith("it has none that can never be done or never changes anything")
