@@ -249,7 +249,8 @@ def checked(kind: Any, value: Any) -> Any:
     try:
         return TypeAdapter(kind, config=CONFIG).validate_python(value)
     except ValidationError as error:
-        raise DeclarationError.of(kind, error, value) from None
+        fault = DeclarationError.of(kind, error, value)
+    raise fault
 
 
 UNKNOWN = {"unexpected_keyword_argument", "extra_forbidden"}
@@ -332,8 +333,10 @@ def _declared(cls: type[T], *, partial: bool, kw_only: bool) -> type[T]:
             raise TypeError(f"{type(self).__name__}: too many arguments, or one that is there twice")
         try:
             bare(self, **every)
+            return
         except ValidationError as error:
-            raise DeclarationError.of(type(self), error, every) from None
+            fault = DeclarationError.of(type(self), error, every)
+        raise fault  # without a context, with which Dask's workers could not send it
 
     made.__init__ = __init__
     if made.__repr__ is object.__repr__:  # a base's own is kept

@@ -95,6 +95,7 @@ def test_a_fault_is_one_sentence(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         Cart(**named | wrong)
     assert str(caught.value) == message
+    assert caught.value.__context__ is None
     again = pickle.loads(pickle.dumps(caught.value))
     assert (str(again), again.place) == (message, caught.value.place)
 
