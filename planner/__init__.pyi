@@ -23,10 +23,10 @@ from .grounding.task import Effect as Effect
 from .grounding.task import Operator as Operator
 from .grounding.task import Task as Task
 from .grounding.task import Variable as Variable
-from .pddl.instance_finder import find_instances as find_instances
-from .pddl.instance_finder import instance as instance
 from .pddl.instances import Instance as Instance
 from .pddl.instances import PDDLError as PDDLError
+from .pddl.instances import find_instances as find_instances
+from .pddl.instances import instance as instance
 from .search.numbering import SweepOptions as SweepOptions
 from .search.state_space import Packing as Packing
 from .search.state_space import StateSpace as StateSpace

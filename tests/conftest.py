@@ -41,7 +41,8 @@ from assist.team.pool import Pool
 from planner import Instance, Limits, PDDLError, Table, find_instances, load, sweep
 from planner.costtogo.number_values import TRIAL_SECONDS
 from planner.grounding import fast_downward
-from planner.pddl import reader, writer
+from planner.pddl import reader
+from planner.pddl.compilation import domain_text, problem_text
 from planner.pddl.validation import parsed
 from planner.system import progress
 from planner.system.limits import NO_LIMITS
@@ -211,7 +212,7 @@ def the_same_texts_are_grounded_once(shared_folder: Path) -> Iterator[None]:
     def once(reading: reader.Reading, limits: Limits = NO_LIMITS) -> str:
         if limits not in usual:
             return translate(reading, limits)
-        texts = json.dumps([writer.domain(reading), writer.problem(reading)])
+        texts = json.dumps([domain_text(reading), problem_text(reading)])
         grounded = shared_folder / f"{hashlib.sha256(texts.encode()).hexdigest()}.sas"
         if not grounded.exists():
             part = grounded.with_suffix(f".{os.getpid()}-{threading.get_ident()}")
@@ -369,7 +370,7 @@ def one_name_for_two(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def understood(instance: Instance) -> Any:
     """Return an instance as a problem of unified-planning."""
     reading = reader.read(instance)
-    problem, why = parsed(writer.domain(reading, list_object=True), writer.problem(reading))
+    problem, why = parsed(domain_text(reading, list_object=True), problem_text(reading))
     if why is not None:
         raise PDDLError(instance.problem, None, f"unified-planning: {why}")
     return problem

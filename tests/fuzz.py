@@ -36,7 +36,8 @@ from broken import ARGUMENTS, Fuzzer, Input
 from click.testing import CliRunner
 
 from assist.cli import main
-from planner.pddl import validation, writer
+from planner.pddl import validation
+from planner.pddl.compilation import domain_text, problem_text
 from planner.system.errors import InputFileError
 
 CPU_SECONDS, SECONDS = 30, 400.0  # per input; the second allows for other load on the machine
@@ -78,14 +79,14 @@ def without_processes() -> None:
     translated: dict[tuple[str, str], str] = {}
 
     def translate_once(reading: Any, *limits: Any) -> str:
-        texts = writer.domain(reading), writer.problem(reading)
+        texts = domain_text(reading), problem_text(reading)
         if texts not in translated:
             translated[texts] = translate(reading, *limits)
         return translated[texts]
 
     class SecondReader(validation.SecondReader):
         def __init__(self, reading: Any, limits: Any = None) -> None:  # noqa: ARG002
-            self._texts = writer.domain(reading, list_object=True), writer.problem(reading)
+            self._texts = domain_text(reading, list_object=True), problem_text(reading)
             self._process, self._asked = None, None
 
         def ask(self, plan: Sequence[str] | None) -> None:

@@ -19,10 +19,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
     "planner.system": "errors arrays results files limits progress processes jit",
-    "planner.pddl": """instances instance_finder declarations numeric_expressions formulas reader conditions
-        compilation recursion timed_schemas durative static_facts metric numeric_schemas value_sets saturation
-        value_ranges value_encoder value_scope numeric_encoding numeric_compiler writer validation plan_execution
-        built_problems""",
+    "planner.pddl": """instances declarations expressions formulas reader compilation durative static_facts
+        numeric_schemas value_sets value_ranges value_scope numeric_encoding numeric_compiler validation
+        plan_execution built_problems""",
     "planner.grounding": "fast_downward task translation",
     "planner.search.kernels": "packed_successors state_sets ranked_successors block_steps",
     "planner.search": """state_space search_space sorted_space numbering invariants

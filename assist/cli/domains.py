@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from planner.pddl.instance_finder import bundled_tasks
+from planner.pddl.instances import bundled_tasks
 
 from .options.common import json_option
 from .options.help import command

@@ -17,8 +17,8 @@ import numpy as np
 
 from planner import Task, task_of
 from planner.grounding.task import derived, successors
+from planner.pddl.expressions import as_shown
 from planner.pddl.instances import Expression, PDDLError
-from planner.pddl.numeric_expressions import as_shown
 from planner.pddl.reader import Domain, Rule, read
 
 from ..people.action_names import Matcher, words_of

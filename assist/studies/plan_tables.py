@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from planner import Instance, find_instances
-from planner.pddl.instance_finder import bundled_files
+from planner.pddl.instances import bundled_files
 from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
 from planner.system.files import no_such, read_json

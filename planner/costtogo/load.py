@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 from ..grounding import fast_downward
 from ..grounding.task import Task
 from ..grounding.translation import from_sas
-from ..pddl import built_problems, instance_finder, instances
+from ..pddl import built_problems, instances
 from ..pddl.compilation import MOST_VALUES
 from ..pddl.reader import read
 from ..system.files import atomic
@@ -66,7 +66,7 @@ def load(
         Problem file, name of a bundled task (`kitting/paper`), or a problem that was built in Python. The task keeps
         the names of the latter. A `Task` is returned as it is.
     domain : path, optional
-        Domain file; by default `instance_finder.instance` searches for it.
+        Domain file; by default `instances.instance` searches for it.
     limits : Limits
         Time and memory of the grounding.
     cache : path, optional
@@ -88,10 +88,10 @@ def load(
     if isinstance(problem, Task):
         return problem
     if isinstance(problem, str | Path):
-        problem = instance_finder.instance(problem, domain)
+        problem = instances.instance(problem, domain)
         if not problem.problem.exists():
             raise instances.PDDLError(
-                problem.problem, None, instance_finder.not_there(problem.problem, "no such problem file")
+                problem.problem, None, instances.not_there(problem.problem, "no such problem file")
             )
     if not isinstance(problem, instances.Instance):
         if not any(kind.__module__.startswith("unified_planning.") for kind in type(problem).__mro__):

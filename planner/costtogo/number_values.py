@@ -26,11 +26,10 @@ from dataclasses import replace
 
 from ..grounding.task import Task
 from ..grounding.translation import ground
-from ..pddl.compilation import MOST_VALUES, Compilation
+from ..pddl.compilation import MOST_VALUES, Compilation, without_recursive_quantifiers
 from ..pddl.instances import PDDLError
 from ..pddl.numeric_compiler import Compiler
 from ..pddl.reader import Reading
-from ..pddl.recursion import without_recursive_quantifiers
 from ..pddl.value_ranges import UnprovenError
 from ..pddl.value_sets import Trial
 from ..system.errors import UnsuitedError

@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from ..grounding.task import Task, derived
-from ..pddl.numeric_expressions import Number, whole
+from ..pddl.expressions import Number, whole
 from ..pddl.value_sets import Fluent
 from ..search.state_registry import RegistrySpace, StateRegistry
 from ..search.state_space import Packing, holds

@@ -22,7 +22,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from ..pddl import writer
+from ..pddl.compilation import domain_text, problem_text
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.reader import Reading
 from ..system.limits import NO_LIMITS, LimitError, Limits, MemoryLimitError, limit_process
@@ -73,8 +73,8 @@ def translate(reading: Reading, limits: Limits = NO_LIMITS) -> str:
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         sas, domain, problem = (Path(folder) / name for name in ("output.sas", "domain.pddl", "problem.pddl"))
         # The normalised texts, which all other readers use too.
-        domain.write_text(writer.domain(reading), encoding="utf-8")
-        problem.write_text(writer.problem(reading), encoding="utf-8")
+        domain.write_text(domain_text(reading), encoding="utf-8")
+        problem.write_text(problem_text(reading), encoding="utf-8")
         command = python("fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas))
         code, output = _run([*command, str(domain), str(problem)], folder, None, limits)
         _check_limits("translation", code, output, limits)

@@ -19,8 +19,8 @@ from typing import TypeVar
 
 from ..pddl.compilation import Compilation
 from ..pddl.declarations import Typed, refuse
+from ..pddl.expressions import Number
 from ..pddl.instances import Expression, Instance
-from ..pddl.numeric_expressions import Number
 from ..pddl.reader import Action, Reading
 from ..system.limits import NO_LIMITS, Limits
 from . import fast_downward

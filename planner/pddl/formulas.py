@@ -19,13 +19,11 @@ from pathlib import Path
 from typing import NoReturn
 
 from .declarations import Names, Symbol, Typed, meant, parameters, refuse, shown
+from .expressions import COMPARISONS, DURATION, OPERATIONS, Number, listed, number, word
 from .instances import Expression, Place
-from .numeric_expressions import DURATION, Number, number
 
-COMPARISONS = frozenset({"<", ">", "<=", ">="})
 CONDITIONS = ("and", "or", "not", "imply", "forall", "exists")
 CHANGES = ("increase", "decrease", "assign", "scale-up", "scale-down")
-SIGNS = ("+", "-", "*", "/")
 EFFECTS = ("and", "not", "when", "forall", *CHANGES)
 TIMES = {"at": ("start", "end"), "over": ("all",)}
 """Words of `(at start ...)`, `(at end ...)` and `(over all ...)`."""
@@ -54,16 +52,6 @@ class Cost:
         if self.number is not None:
             return self.number
         return values.get(tuple(bound.get(word, word) for word in self.function))
-
-
-def word(text: str) -> Expression:
-    """Return an expression that is a word and has no place."""
-    return Expression(text)
-
-
-def listed(*parts: Expression) -> Expression:
-    """Return an expression that is a list and has no place."""
-    return Expression("", parts)
 
 
 OF_OTHER_LANGUAGES = {
@@ -207,7 +195,7 @@ class Formulas:
                 return self._function(Expression("", (part,), part.place), scope)
             self.refuse(part, f"'{part}' is no number; expected a number or (FUNCTION ARGUMENT ...)")
         head, given = part.head, part.parts[1:]
-        if head in SIGNS:
+        if head in OPERATIONS:
             fewest, most = {"-": (1, 2), "/": (2, 2)}.get(head, (1, len(given)))
             if not max(fewest, 1) <= len(given) <= most:
                 self.refuse(part, f"'{shown(part)}': '{head}' expects two numbers; expected ({head} NUMBER NUMBER)")
@@ -221,14 +209,14 @@ class Formulas:
             function = Symbol("total-cost", (), part.place)
         if function is None and part.head in self.names.predicates:
             self.refuse(part, f"'{part.head}' is a predicate, and a number is expected here")
-        if function is None and (sign := next((each.word for each in part.parts[1:] if each.word in SIGNS), "")):
+        if function is None and (sign := next((each.word for each in part.parts[1:] if each.word in OPERATIONS), "")):
             self.refuse(part, f"'{shown(part)}': '{sign}' stands first; expected ({sign} NUMBER NUMBER)")
         if function is None and not part.head:
             self.refuse(part, f"'{shown(part)}' is no number; expected a number or (FUNCTION ARGUMENT ...)")
         if function is None and part.head == "total-time":
             self.refuse(part, "(total-time) is known in (:metric ...) only; expected a function that actions change")
         if function is None:
-            near = meant(part.head, {*self.names.functions, *SIGNS}) or "; expected a function, or + - * /"
+            near = meant(part.head, {*self.names.functions, *OPERATIONS}) or "; expected a function, or + - * /"
             self.refuse(part, f"no such function '{part.head}' in (:functions ...){near}")
         return Expression("", (part.parts[0], *self.arguments(part, function, scope)), part.place)
 

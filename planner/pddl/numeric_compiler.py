@@ -1,8 +1,8 @@
 """The compiler of numbers and durations: from the reading of an instance to a classical one.
 
-Each step is a module: actions in parts (`timed_schemas`), without times (`durative`), with what is kept of their
-numbers (`numeric_schemas`, `metric`), the values of each number (`value_sets`, `saturation`, `value_ranges`), and their
-encoding as facts (`numeric_encoding`).
+Each step is a module: actions in parts and without times (`durative`), with what is kept of their numbers and with
+costs (`numeric_schemas`), the values of each number (`value_sets`, `value_ranges`), and their encoding as facts
+(`numeric_encoding`).
 """
 
 from __future__ import annotations
@@ -14,22 +14,32 @@ from itertools import product
 from math import prod
 
 from ..system.errors import UnsuitedError
-from . import metric, numeric_encoding, numeric_schemas, timed_schemas, value_encoder
+from . import numeric_encoding, numeric_schemas
 from .compilation import MOST_VALUES, Compilation
-from .conditions import COMPLEMENT, FALSE, TRUE, conjuncts, free_variables, normal_form
 from .declarations import OBJECT, Symbol, Typed, Types, refuse
-from .formulas import LARGEST_COST, TIMES, Cost, listed, word
+from .durative import timed_schemas
+from .expressions import (
+    COMPLEMENT,
+    FALSE,
+    TRUE,
+    Number,
+    as_shown,
+    conjuncts,
+    free_variables,
+    listed,
+    normal_form,
+    terms_of,
+    word,
+)
+from .formulas import LARGEST_COST, TIMES, Cost
 from .instances import Expression
 from .numeric_encoding import EncodedAction
-from .numeric_expressions import Number, as_shown, terms_of
-from .numeric_schemas import Preparation
+from .numeric_schemas import Preparation, metric_of, unit_of
 from .reader import Action, Domain, DurativeAction, Problem, Reading, Rule
-from .saturation import Read, reads, saturations
 from .static_facts import Statics
-from .value_encoder import Encoder
 from .value_ranges import Bounds, Proofs
-from .value_scope import Scope
-from .value_sets import GroundChange, Trial, ValueSets, ground_changes, initial_values
+from .value_scope import Encoder, Scope, relation_symbols, value_symbol
+from .value_sets import GroundChange, Read, Trial, ValueSets, ground_changes, initial_values, reads, saturations
 
 MOST_GROUNDED = 10_000_000
 """Rows of static relations, and ways to satisfy conditions of actions, that the translator grounds in minutes."""
@@ -48,14 +58,14 @@ class Compiler:
         self.reading = reading
         self.file = reading.instance.domain
         self.objects = reading.objects
-        timed = timed_schemas.of_reading(reading)
+        timed = timed_schemas(reading)
         goal = normal_form(reading.problem.goal, self.objects)
         rules = [(rule, normal_form(rule.condition, self.objects)) for rule in reading.domain.rules]
         self._required = {
             each.name: [part for _, condition in each.conditions for part in conjuncts(condition)] for each in timed
         }
         changing = numeric_schemas.changing(timed)
-        self.metric = metric.of_reading(reading, changing)
+        self.metric = metric_of(reading, changing)
         self.roles = numeric_schemas.roles(timed, goal, (condition for _, condition in rules), self.metric)
         changed_facts = frozenset(each.atom.head for schema in timed for _, _, each in schema.literals)
         self.statics = Statics(
@@ -207,7 +217,7 @@ class Compiler:
         domain, problem = self.reading.domain, self.reading.problem
         root = _Root(self.reading, encoder.fresh("object-of-file"), encoder.fresh("never"))
         every = [cost for action in actions for cost in action.costs.values()]
-        unit = metric.unit(every)
+        unit = unit_of(every)
         self._check_costs(actions, unit)
         entries: list[Action | DurativeAction | Rule] = []
         names: dict[str, tuple[str, int]] = {}
@@ -241,7 +251,7 @@ class Compiler:
         predicates = {name: root.symbol(each) for name, each in domain.predicates.items()}
         for name in encoder.names:
             declared = domain.functions.get(name) or Symbol(name, (), place)
-            symbol = value_encoder.value_symbol(encoder, declared)
+            symbol = value_symbol(encoder, declared)
             predicates[symbol.name] = root.symbol(symbol)
         for rule, condition in self.rules:
             scope = Scope(encoder, self._kinds(rule.head.parameters), (), "", rule.head.place)
@@ -255,7 +265,7 @@ class Compiler:
         self._check_size(encoder, actions, most_grounded)
         if root.uses_never:
             predicates[root.never] = Symbol(root.never, (), place)
-        for each in value_encoder.relation_symbols(encoder, place):
+        for each in relation_symbols(encoder, place):
             predicates[each.name] = each
         facts = dict(problem.facts)
         facts.update(dict.fromkeys(encoder.symbol_facts(), place))

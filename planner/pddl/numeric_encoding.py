@@ -17,10 +17,15 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 
-from .conditions import (
+from .declarations import Typed, refuse
+from .durative import Change, Literal, Schema, key
+from .expressions import (
     COMPLEMENT,
     FALSE,
+    OPERATIONS,
     TRUE,
+    Number,
+    as_shown,
     compared_terms,
     comparisons,
     conjunction,
@@ -28,18 +33,14 @@ from .conditions import (
     disjunction,
     free_variables,
     is_numeric,
+    listed,
     variables_of,
+    word,
 )  # fmt: skip
-from .declarations import Typed, refuse
-from .durative import Schema, key
-from .formulas import listed, word
 from .instances import Expression, Place
-from .numeric_expressions import OPERATIONS, Number, as_shown
 from .numeric_schemas import Costed
 from .static_facts import literal_number
-from .timed_schemas import Change, Literal
-from .value_encoder import Encoder
-from .value_scope import Scope
+from .value_scope import Encoder, Scope
 from .value_sets import Beyond, Fluent
 
 

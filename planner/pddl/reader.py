@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
-from . import declarations, instance_finder, instances
+from . import declarations, instances
 from .declarations import Names, Symbol, Typed, Types, meant, refuse, shown
-from .formulas import COMPARISONS, Cost, Formulas, listed, whole_number, word
+from .expressions import COMPARISONS, DURATION, Number, listed, number, word
+from .formulas import Cost, Formulas, whole_number
 from .instances import Expression, Instance, Place
-from .numeric_expressions import DURATION, Number, number
 
 TOTAL_COST = ("total-cost",)
 """The function that sums up the costs of actions, without arguments."""
@@ -150,7 +150,7 @@ def read(instance: Instance) -> Reading:
 
     A `PDDLError` says if they are not valid PDDL, do not match, or go beyond classical planning with action costs.
     """
-    if (fault := instance_finder.missing(instance)) is not None:
+    if (fault := instances.missing(instance)) is not None:
         raise fault
     domain, problem = (
         instances.nested(file, instances.text(file, kind))

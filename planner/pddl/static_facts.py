@@ -8,10 +8,25 @@ from functools import cache
 from math import prod
 
 from ..system.errors import UnsuitedError
-from .conditions import COMPLEMENT, FALSE, TRUE, conjunction, conjuncts, disjunction, free_variables, variables_of
-from .formulas import listed
+from .expressions import (
+    COMPLEMENT,
+    FALSE,
+    OPERATIONS,
+    TRUE,
+    Number,
+    compared,
+    conjunction,
+    conjuncts,
+    disjunction,
+    free_variables,
+    listed,
+    number,
+    terms_of,
+    value_of,
+    variables_of,
+    word_of,
+)
 from .instances import Expression
-from .numeric_expressions import OPERATIONS, Number, compared, number, terms_of, value_of, word_of
 from .reader import Reading
 
 LARGEST_JOIN = 300_000

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, Limits, limit_process
 from ..system.processes import guarded_group, python
-from . import writer
+from .compilation import domain_text, problem_text
 from .reader import Reading
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class SecondReader:
     def _converse(self, process: _Process, reading: Reading) -> None:
         """Ask about the files, then about the plan; this is done in a thread, as the process reads when it can."""
         try:
-            said = process.asked("files", writer.domain(reading, list_object=True), writer.problem(reading))
+            said = process.asked("files", domain_text(reading, list_object=True), problem_text(reading))
             plan = self._plan.result()
             if said is None and plan is not None:
                 said = process.asked("plan", plan)

@@ -20,12 +20,23 @@ from functools import cached_property
 from math import ceil, floor
 
 from ..system.errors import UnsuitedError
-from .conditions import COMPLEMENT, FALSE, TRUE, conjuncts, free_variables
 from .declarations import refuse
 from .durative import key
-from .formulas import listed, word
+from .expressions import (
+    COMPLEMENT,
+    FALSE,
+    TRUE,
+    Number,
+    as_shown,
+    conjuncts,
+    free_variables,
+    linear,
+    listed,
+    terms_of,
+    whole,
+    word,
+)
 from .instances import Expression, PDDLError, Place
-from .numeric_expressions import Number, as_shown, linear, terms_of, whole
 from .numeric_schemas import Costed
 from .reader import Reading
 from .static_facts import Statics, literal_number

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from planner import Instance
-from planner.pddl.instance_finder import bundled_files
+from planner.pddl.instances import bundled_files
 from planner.system.errors import expected as meant
 
 from ...declare.catalogue import FIRST, Catalogue, catalogue

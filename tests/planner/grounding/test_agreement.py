@@ -12,7 +12,7 @@ from test_reading import DOMAIN, PROBLEM, RULE
 from planner import PDDLError, Task, instance, load, sweep
 from planner.grounding import translation
 from planner.grounding.fast_downward import translate
-from planner.pddl.formulas import listed
+from planner.pddl.expressions import listed
 from planner.pddl.reader import Reading, read
 
 

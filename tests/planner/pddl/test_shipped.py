@@ -12,7 +12,7 @@ from conftest import DOMAINS, KITTING, ROOT, SHIPPED, invoke
 
 from assist.cli import main
 from planner import InputFileError, PDDLError, find_instances, instance, load
-from planner.pddl.instance_finder import bundled_tasks
+from planner.pddl.instances import bundled_tasks
 
 
 @pytest.fixture(autouse=True)
