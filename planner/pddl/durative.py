@@ -25,13 +25,16 @@ from .expressions import (
     FALSE,
     OPERATIONS,
     TRUE,
+    ZERO,
     changed,
     compared_terms,
     conjunction,
     disjunction,
     exclude,
     free_variables,
+    key,
     listed,
+    listing_of,
     normal_form,
     quantified,
     same,
@@ -278,9 +281,6 @@ def reads_duration(expression: Expression) -> bool:
     return any(each.word == DURATION for each in expression.walk())
 
 
-ZERO = word("0")
-
-
 @dataclass(frozen=True)
 class Schema:
     """An action in which nothing has a time. All conditions are in negation normal form (see `expressions`).
@@ -295,11 +295,6 @@ class Schema:
     changes: tuple[Change, ...]
     duration: Expression | None
     place: Place
-
-
-def key(term: Expression) -> tuple[str, ...]:
-    """Return the words of a term or atom, by which it is compared with others."""
-    return tuple(part.word for part in term.parts)
 
 
 def total(parts: Iterable[Expression]) -> Expression:
@@ -359,8 +354,7 @@ def _overwritten(times: Sequence[str], literals: Sequence[Literal]) -> Iterable[
 
 
 def _exists(variables: Mapping[str, str], body: Expression) -> Expression:
-    listing = listed(*(word(text) for name, kind in variables.items() for text in (name, "-", kind)))
-    return quantified("exists", listing, body)
+    return quantified("exists", listing_of(variables), body)
 
 
 def _composed(file: Path, schema: TimedSchema, times: Sequence[str], changes: Sequence[Change]) -> Iterable[Change]:

@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from fractions import Fraction
 from functools import cache, lru_cache
+from types import MappingProxyType
 
 from .instances import Expression
 
@@ -164,10 +165,13 @@ def as_shown(value: Number) -> str:
     return f"{'-' if value < 0 else ''}{text[:-digits]}.{text[-digits:]}"
 
 
+ZERO = word("0")
 TRUE = listed(word("and"))
 FALSE = listed(word("or"))
 COMPLEMENT = {"<": ">=", ">=": "<", ">": "<=", "<=": ">", "==": "!=", "!=": "=="}
 """The comparison that is true of two numbers where another one is false."""
+DUAL = {"and": "or", "or": "and", "forall": "exists", "exists": "forall"}
+"""The connective of the negated parts of a condition that is negated."""
 SIGNS = {"<": {-1}, "<=": {-1, 0}, "==": {0}, "!=": {-1, 1}, ">=": {0, 1}, ">": {1}}
 """The signs of the differences, left minus right, of which a comparison is true."""
 
@@ -194,6 +198,11 @@ def disjunction(parts: Iterable[Expression]) -> Expression:
     return found[0] if len(found) == 1 else listed(word("or"), *found)
 
 
+def joined(head: str, parts: Iterable[Expression]) -> Expression:
+    """Return the conjunction or disjunction of conditions, whose head is "and" or "or"."""
+    return conjunction(parts) if head == "and" else disjunction(parts)
+
+
 def conjuncts(condition: Expression) -> tuple[Expression, ...]:
     """Return the parts of a conjunction; any other condition is its only part."""
     return condition.parts[1:] if condition.head == "and" else (condition,)
@@ -210,6 +219,16 @@ def variables_of(listing: Expression) -> dict[str, str]:
     return dict(zip(words[::3], words[2::3], strict=True))
 
 
+def listing_of(kinds: Mapping[str, str]) -> Expression:
+    """Return the typed list of variables with their types."""
+    return listed(*(word(text) for name, kind in kinds.items() for text in (name, "-", kind)))
+
+
+def key(term: Expression, bound: Mapping[str, str] = MappingProxyType({})) -> tuple[str, ...]:
+    """Return the words of a term or atom, by which it is compared with others, with objects for bound variables."""
+    return tuple(bound.get(part.word, part.word) for part in term.parts)
+
+
 def normal_form(formula: Expression, objects: Container[str], *, holds: bool = True) -> Expression:
     """Return a condition of a file, or its negation, in negation normal form."""
     head, parts = formula.head, formula.parts[1:]
@@ -220,10 +239,9 @@ def normal_form(formula: Expression, objects: Container[str], *, holds: bool = T
         return disjunction(sides) if holds else conjunction(sides)
     if head in ("and", "or"):
         inner = (normal_form(part, objects, holds=holds) for part in parts)
-        return conjunction(inner) if (head == "and") is holds else disjunction(inner)
+        return joined(head if holds else DUAL[head], inner)
     if head in ("forall", "exists"):
-        head = head if holds else {"forall": "exists", "exists": "forall"}[head]
-        return quantified(head, parts[0], normal_form(parts[1], objects, holds=holds))
+        return quantified(head if holds else DUAL[head], parts[0], normal_form(parts[1], objects, holds=holds))
     numeric = head in COMPARISONS or (
         head == "="
         and any(part.parts or (number(part.word) is not None and part.word not in objects) for part in parts)
@@ -240,10 +258,9 @@ def unsatisfied(condition: Expression) -> Expression:
     if head == "not":
         return parts[0]
     if head in ("and", "or"):
-        inner = map(unsatisfied, parts)
-        return disjunction(inner) if head == "and" else conjunction(inner)
+        return joined(DUAL[head], map(unsatisfied, parts))
     if head in ("forall", "exists"):
-        return quantified({"forall": "exists", "exists": "forall"}[head], parts[0], unsatisfied(parts[1]))
+        return quantified(DUAL[head], parts[0], unsatisfied(parts[1]))
     if head == "failed":
         return parts[0]
     return listed(word("failed" if head in COMPLEMENT else "not"), condition)
@@ -296,8 +313,7 @@ def changed(condition: Expression, leaf: Callable[[Expression], Expression]) -> 
     """Return a condition with each predicate, equality and comparison (also negated ones) replaced by `leaf` of it."""
     head, parts = condition.head, condition.parts[1:]
     if head in ("and", "or"):
-        inner = (changed(part, leaf) for part in parts)
-        return conjunction(inner) if head == "and" else disjunction(inner)
+        return joined(head, (changed(part, leaf) for part in parts))
     if head in ("forall", "exists"):
         return quantified(head, parts[0], changed(parts[1], leaf))
     return leaf(condition)

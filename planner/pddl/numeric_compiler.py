@@ -161,7 +161,7 @@ class Compiler:
             if symbol is None or () in table:
                 continue
             kinds = {f"?{n}": self._kind(each.kinds) for n, each in enumerate(symbol.parameters)}
-            every: dict[tuple[str, ...], Number] = dict.fromkeys(statics.bindings(kinds, ()), 0)
+            every: dict[tuple[str, ...], Number] = {tuple(row.values()): 0 for row in statics.bindings(kinds, ())}
             statics.values[f"weight of {name}"] = {**every, **table}
 
     def _kind(self, kinds: tuple[str, ...]) -> str:
@@ -205,9 +205,8 @@ class Compiler:
         domain = self.reading.domain
         taken = {*self.objects, *domain.predicates, *domain.functions, *domain.types.parents, OBJECT,
                  *self.reading.unions.values(), *(entry.name for entry in self._signatures())}  # fmt: skip
-        kinds_of = {name: tuple(self._kinds(s.parameters).values()) for name, s in domain.functions.items()}
         limits = self.bounds.saturations
-        return Encoder(self.file, self.statics, sets, limits, self.roles.kept, taken, kinds_of)
+        return Encoder(self.file, self.statics, sets, limits, self.roles.kept, taken)
 
     def _signatures(self) -> list[Action | DurativeAction]:
         return [entry for entry in self.reading.domain.entries if not isinstance(entry, Rule)]

@@ -13,35 +13,38 @@ grounds what is reachable only, and finds that each fluent is one variable:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import prod
 
 from .declarations import Typed, refuse
-from .durative import Change, Literal, Schema, key
+from .durative import Change, Literal, Schema
 from .expressions import (
     COMPLEMENT,
     FALSE,
     OPERATIONS,
     TRUE,
+    ZERO,
     Number,
     as_shown,
     compared_terms,
     comparisons,
     conjunction,
     conjuncts,
-    disjunction,
     free_variables,
     is_numeric,
+    joined,
+    key,
     listed,
+    listing_of,
     variables_of,
     word,
 )  # fmt: skip
 from .instances import Expression, Place
 from .numeric_schemas import Costed
 from .static_facts import literal_number
-from .value_scope import Encoder, Scope
-from .value_sets import Beyond, Fluent
+from .value_scope import Encoder, Scope, Sum
+from .value_sets import possible
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ def _shared(scope: Scope, conditions: Iterable[Expression]) -> list[Expression]:
     return [
         term for term, several in times.items()
         if several > 1 and term.head in scope.encoder.names and free_variables(term).keys() <= scope.kinds.keys()
-        and not scope.lacks_fluents(term)
+        and not scope.missing(term)
     ]  # fmt: skip
 
 
@@ -144,25 +147,18 @@ def ways(encoder: Encoder, condition: Expression, values: Collection[str] = ()) 
 def _growth(scope: Scope, change: Change, old: str) -> list[Expression]:
     """Return the effects of a growth, and require the relation of the old and the new value."""
     encoder, name = scope.encoder, change.term.head
-    numbers = encoder.numbers[name]
-    special = name in encoder.special
-
-    def grown(number: Number, amount: Number, of: Fluent | None = None) -> Sequence[Number | Beyond]:
-        return encoder.stored(number + amount, of, name)
-
-    new = scope.fresh()
+    fluent = change.term if name in encoder.special else None
+    before = Sum(old, encoder.numbers[name], name)
     if encoder.statics.is_static(change.amount):
-        scope.related(
-            change.amount, [old, new], [numbers], [name, name],
-            lambda amount, number, of=None: grown(number, amount, of), change.term if special else None,
+        new = scope.result(
+            change.amount, [before], lambda amount, number, of: encoder.stored(number + amount, of, name), name, fluent
         )  # fmt: skip
     else:
-        amount = scope.computed(change.amount)
-        scope.related(
-            word("0"), [old, amount, new], [numbers, amount.numbers], [name, None, name],
-            lambda _, number, more, of=None: grown(number, more, of), change.term if special else None,
+        new = scope.result(
+            ZERO, [before, scope.computed(change.amount)],
+            lambda _, number, amount, of: encoder.stored(number + amount, of, name), name, fluent,
         )  # fmt: skip
-    return [listed(word("not"), scope.fact(change.term, old)), scope.fact(change.term, new)]
+    return [listed(word("not"), scope.fact(change.term, old)), scope.fact(change.term, new.variable)]
 
 
 def _assigned(scope: Scope, change: Change) -> str:
@@ -171,25 +167,14 @@ def _assigned(scope: Scope, change: Change) -> str:
     value = scope.computed(change.amount)
     special = name in encoder.special
     common = {encoder.saturations.get(fluent) for fluent in encoder.fluents[name]}
-
-    def stored(number: Number, of: Fluent | None = None) -> Sequence[Number | Beyond]:
-        return encoder.stored(number, of, name)
-
     plain = change.amount.head not in OPERATIONS and change.amount.head not in encoder.undefined
     if plain and not special and common == {None} and value.numbers <= encoder.numbers[name]:
         return value.variable
-    new = scope.fresh()
-    source = change.amount.head if change.amount.head in encoder.names else None
-    if special:
-        scope.related(
-            word("0"), [value, new], [value.numbers], [None if source == name else source, name],
-            lambda _, number, of: stored(number, of), change.term,
-        )  # fmt: skip
-    else:
-        scope.related(
-            word("0"), [value, new], [value.numbers], [source, name], lambda _, number: stored(number)
-        )  # fmt: skip
-    return new
+    if special and value.function == name:
+        value = replace(value, function=None)  # its number may be one of another fluent of the function
+    return scope.result(
+        ZERO, [value], lambda _, number, of: encoder.stored(number, of, name), name, change.term if special else None
+    ).variable  # fmt: skip
 
 
 def _replacement(scope: Scope, change: Change, new: str) -> list[Expression]:
@@ -209,10 +194,9 @@ def _any_old(
     old = f"?old{scope.root.count}"
     before = scope.fact(change.term, old)
     every = {**variables, old: scope.encoder.value_type}
-    words = (word(text) for name, kind in every.items() for text in (name, "-", kind))
     both = listed(word("and"), listed(word("not"), before), after)
     return listed(
-        word("forall"), listed(*words), listed(word("when"), conjunction((condition, before)), both)
+        word("forall"), listing_of(every), listed(word("when"), conjunction((condition, before)), both)
     )  # fmt: skip
 
 
@@ -230,17 +214,14 @@ def _static_assignment(scope: Scope, change: Change) -> list[Expression]:
             return _replacement(scope, replace(change, condition=condition), new)
         return [_any_old(scope, change, change.variables, condition, scope.fact(change.term, new))]
     where = inner if change.variables else scope
-    variable = where.fresh()
-
-    where.related(
-        change.amount, [variable], [], [name], lambda number, of=None: encoder.stored(number, of, name),
-        change.term if special else None,
-    )  # fmt: skip
+    new = where.result(
+        change.amount, [], lambda number, of: encoder.stored(number, of, name), name, change.term if special else None
+    ).variable  # fmt: skip
     if not change.variables:
-        return _replacement(scope, replace(change, condition=condition), variable)
+        return _replacement(scope, replace(change, condition=condition), new)
     more = dict.fromkeys(inner.variables, encoder.value_type)
     whole = conjunction([condition, *inner.atoms])
-    return [_any_old(scope, change, {**change.variables, **more}, whole, scope.fact(change.term, variable))]
+    return [_any_old(scope, change, {**change.variables, **more}, whole, scope.fact(change.term, new))]
 
 
 def _literal(scope: Scope, literal: Literal) -> Expression:
@@ -253,8 +234,7 @@ def _literal(scope: Scope, literal: Literal) -> Expression:
     if condition != TRUE:
         effect = listed(word("when"), condition, effect)
     if literal.variables:
-        words = (word(text) for name, kind in literal.variables.items() for text in (name, "-", kind))
-        effect = listed(word("forall"), listed(*words), effect)
+        effect = listed(word("forall"), listing_of(literal.variables), effect)
     return effect
 
 
@@ -262,7 +242,7 @@ def _costs(scope: Scope, costed: Costed) -> tuple[tuple[str, ...], dict[tuple[st
     """Return the variables on which the cost of an action depends, and the costs for their objects."""
     cost, schema = costed.cost, costed.schema
     if schema.duration is not None and not scope.statics.is_static(schema.duration):
-        scope.compare(listed(word(">="), schema.duration, word("0")))
+        scope.compare(listed(word(">="), schema.duration, ZERO))
     for what, expression in (("duration", schema.duration), ("cost", cost)):
         if expression is not None and scope.statics.is_static(expression):
             variables, rows = scope.static_rows(expression)
@@ -287,13 +267,9 @@ def _costs(scope: Scope, costed: Costed) -> tuple[tuple[str, ...], dict[tuple[st
 
 def _negative(scope: Scope, what: str, bound: Mapping[str, str], value: Number) -> None:
     """Refuse a negative duration or cost of an instance that may be applied."""
-    everything = {name: kind for name, kind in scope.kinds.items() if not name.startswith("?value")}
-    for row in scope.statics.bindings(everything, scope.conditions):
-        whole = dict(zip(everything, row, strict=True))
-        if all(whole[name] == bound[name] for name in bound):
-            arguments = " ".join((scope.name, *whole.values()))
-            refuse(scope.encoder.file, scope.place, f"({arguments}) has a {what} of {as_shown(value)}; expected "
-                   f"a {what} of 0 or more")  # fmt: skip
+    if (instance := scope.instance(bound)) is not None:
+        refuse(scope.encoder.file, scope.place, f"({' '.join((scope.name, *instance))}) has a {what} of "
+               f"{as_shown(value)}; expected a {what} of 0 or more")  # fmt: skip
 
 
 def goal(encoder: Encoder, condition: Expression, place: Place) -> tuple[Expression, list[tuple[str, Expression]]]:
@@ -304,14 +280,11 @@ def goal(encoder: Encoder, condition: Expression, place: Place) -> tuple[Express
     def encode(each: Expression) -> Expression:
         head, parts = each.head, each.parts[1:]
         if head in ("and", "or"):
-            inner = map(encode, parts)
-            return conjunction(inner) if head == "and" else disjunction(inner)
+            return joined(head, map(encode, parts))
         if head not in COMPLEMENT and head != "failed":
             return each
         terms = {key(term): term for term in compared_terms(each)}
         if len(terms) == 1:
-            from .value_sets import possible
-
             ((fluent, term),) = terms.items()
             text = f"({' '.join(fluent)})"
             values = encoder.sets.values.get(fluent, {None})

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from ..system.errors import UnsuitedError
 from .declarations import refuse, shown
-from .durative import END, START, Change, Schema, TimedSchema, bound_in, growth, key, merged, renamed, total, unified
+from .durative import END, START, Change, Schema, TimedSchema, bound_in, growth, merged, renamed, total, unified
 from .expressions import (
     FALSE,
     TRUE,
@@ -30,6 +30,7 @@ from .expressions import (
     conjuncts,
     exclude,
     free_variables,
+    key,
     listed,
     number,
     terms_of,
@@ -271,8 +272,7 @@ class Preparation:
             rows = self.statics.bindings(change.variables, [*conjuncts(before), *conjuncts(change.condition)])
             if len(rows) > MOST_WRITTEN_OUT:
                 raise UnsuitedError
-            for row in rows:
-                bound = dict(zip(change.variables, row, strict=True))
+            for bound in rows:
                 each = renamed(change, bound)
                 condition = self.statics.simplified(each.condition, {})
                 changes.append((time, self.statics.simplified(before, bound), replace(each, condition=condition)))

@@ -15,10 +15,9 @@ from .expressions import (
     TRUE,
     Number,
     compared,
-    conjunction,
     conjuncts,
-    disjunction,
     free_variables,
+    joined,
     listed,
     number,
     terms_of,
@@ -87,7 +86,7 @@ class Statics:
 
     def bindings(
         self, variables: Mapping[str, str], conditions: Iterable[Expression], terms: Iterable[Expression] = ()
-    ) -> list[tuple[str, ...]]:
+    ) -> list[dict[str, str]]:
         """Return the objects for variables, with their types, that satisfy conditions as far as these are static.
 
         Conditions on other variables too are only used in so far as some object may satisfy them. The static `terms`
@@ -128,7 +127,7 @@ class Statics:
         variables: Mapping[str, str],
         relations: list[tuple[tuple[str, ...], set[tuple[str, ...]]]],
         filters: list[Expression],
-    ) -> list[tuple[str, ...]]:
+    ) -> list[dict[str, str]]:
         names: tuple[str, ...] = ()
         found: list[tuple[str, ...]] = [()]
         waiting = list(relations)
@@ -162,18 +161,14 @@ class Statics:
                 ]  # fmt: skip
             found = longer
         order = [names.index(name) for name in variables]
-        return sorted(tuple(row[n] for n in order) for row in found)
+        return [dict(zip(variables, row, strict=True)) for row in sorted(tuple(row[n] for n in order) for row in found)]
 
     def simplified(self, condition: Expression, bound: Mapping[str, str]) -> Expression:
         """Return a condition with variables replaced by objects, and its static parts by what they are."""
         head, parts = condition.head, condition.parts[1:]
         if head in ("and", "or"):
-            inner = (self.simplified(part, bound) for part in parts)
-            return conjunction(inner) if head == "and" else disjunction(inner)
-        if head == "not":
-            inside = self.simplified(parts[0], bound)
-            return {TRUE: FALSE, FALSE: TRUE}.get(inside) or listed(condition.parts[0], inside)
-        if head == "failed":
+            return joined(head, (self.simplified(part, bound) for part in parts))
+        if head in ("not", "failed"):
             inside = self.simplified(parts[0], bound)
             return {TRUE: FALSE, FALSE: TRUE}.get(inside) or listed(condition.parts[0], inside)
         if head in ("forall", "exists"):
@@ -218,8 +213,7 @@ class Statics:
         """
         head, parts = condition.head, condition.parts[1:]
         if head in ("and", "or"):
-            inner = (self.expanded(part) for part in parts)
-            return conjunction(inner) if head == "and" else disjunction(inner)
+            return joined(head, map(self.expanded, parts))
         if head not in ("forall", "exists"):
             return condition
         numeric = any(each.head in COMPLEMENT for each in parts[1].walk())
@@ -232,8 +226,8 @@ class Statics:
         rows = self.bindings(variables, conjuncts(body) if head == "exists" else ())
         if len(rows) * max(len(conjuncts(body)), 1) > 20_000:  # conditions: more would not be grounded
             raise UnsuitedError
-        each = (self.simplified(body, dict(zip(variables, row, strict=True))) for row in rows)
-        return conjunction(each) if head == "forall" else disjunction(each)
+        each = (self.simplified(body, row) for row in rows)
+        return joined({"forall": "and", "exists": "or"}[head], each)
 
 
 def bound_terms(expression: Expression, bound: Mapping[str, str]) -> Expression:

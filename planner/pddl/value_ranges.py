@@ -21,7 +21,6 @@ from math import ceil, floor
 
 from ..system.errors import UnsuitedError
 from .declarations import refuse
-from .durative import key
 from .expressions import (
     COMPLEMENT,
     FALSE,
@@ -30,6 +29,7 @@ from .expressions import (
     as_shown,
     conjuncts,
     free_variables,
+    key,
     linear,
     listed,
     terms_of,
@@ -329,14 +329,13 @@ class Proofs:
             if term.head in self.statics.values
         ]  # fmt: skip
         variables = {name: kinds[name] for name in names}
-        for values in self.statics.bindings(variables, top, terms):
-            bound = dict(zip(variables, values, strict=True))
+        for bound in self.statics.bindings(variables, top, terms):
             row = Row()
             known: dict[Fact, bool] = {}
             for condition in top:
                 inner, holds = (condition.parts[1], False) if condition.head == "not" else (condition, True)
                 if inner.head in heads and free_variables(inner).keys() <= bound.keys():
-                    known[tuple(bound.get(each, each) for each in key(inner))] = holds
+                    known[key(inner, bound)] = holds
             effects: dict[Fact, set[tuple[bool, bool]]] = defaultdict(set)
             possible = True
             for literal in literals:
@@ -372,9 +371,8 @@ class Proofs:
         if inner == FALSE:
             return
         own = [name for name in variables if name in free_variables(atom)]
-        for values in self.statics.bindings({name: variables[name] for name in own}, conjuncts(inner)):
-            every = {**bound, **dict(zip(own, values, strict=True))}
-            yield tuple(every.get(each, each) for each in key(atom)), inner == TRUE
+        for row in self.statics.bindings({name: variables[name] for name in own}, conjuncts(inner)):
+            yield key(atom, {**bound, **row}), inner == TRUE
 
     def _potential(self, fluent: Fluent, sign: int) -> Number | None:
         """Return an upper bound of `sign` times a fluent; None if there is no proof."""

@@ -9,17 +9,18 @@ import itertools
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import prod
 from pathlib import Path
 
 from ..system.errors import UnsuitedError
 from .declarations import OBJECT, Symbol, Typed, refuse, shown
-from .durative import key
 from .expressions import (
     COMPLEMENT,
     FALSE,
     OPERATIONS,
     TRUE,
+    ZERO,
     Number,
     applied,
     as_shown,
@@ -28,8 +29,11 @@ from .expressions import (
     disjunction,
     free_variables,
     is_numeric,
+    joined,
+    key,
     linear,
     listed,
+    listing_of,
     terms_of,
     variables_of,
     word,
@@ -55,13 +59,11 @@ class Encoder:
         saturations: Mapping[Fluent, Saturation],
         kept: frozenset[str],
         taken: Iterable[str],
-        kinds: Mapping[str, tuple[str, ...]],
     ) -> None:
         self.file = file
         self.statics = statics
         self.sets = sets
         self.saturations = saturations
-        self.kinds = kinds
         self.taken = set(taken)
         self.value_type = self.fresh("value-of-number")
         self.objects: dict[object, str] = {}
@@ -182,10 +184,18 @@ DIRECT_ROWS = 3_000
 
 @dataclass(frozen=True)
 class Sum:
-    """A value that an action or a formula knows: its variable, and the numbers that it may be."""
+    """A value that an action or a formula knows: its variable, the numbers that it may be, and whose number it is.
+
+    The objects of the `function` stand for the numbers, if there is one.
+    """
 
     variable: str
     numbers: frozenset[Number]
+    function: str | None = None
+
+
+Related = Callable[..., Sequence[Number | Beyond] | bool | None]
+"""What numbers are related to: gets the value of a static expression, the numbers, and the fluent of a relation."""
 
 
 class Scope:
@@ -241,8 +251,7 @@ class Scope:
     def rows(self, variables: Iterable[str], terms: Iterable[Expression]) -> list[dict[str, str]]:
         """Return the objects for variables for which the conditions may hold and static terms have values."""
         wanted = {name: self.kinds[name] for name in variables}
-        found = self.statics.bindings(wanted, self.conditions, terms)
-        return [dict(zip(wanted, row, strict=True)) for row in found]
+        return self.statics.bindings(wanted, self.conditions, terms)
 
     def static_rows(
         self, expression: Expression, more: Iterable[str] = ()
@@ -263,16 +272,18 @@ class Scope:
 
     def _zero(self, expression: Expression, bound: Mapping[str, str]) -> None:
         """Refuse a division by zero, if an instance of the action may be applied."""
-        everything = {name: kind for name, kind in self.kinds.items() if not name.startswith("?value")}
-        for row in self.statics.bindings(everything, self.conditions):
-            whole = dict(zip(everything, row, strict=True))
-            if all(whole[name] == bound[name] for name in bound):
-                arguments = " ".join(whole.values())
-                inner = [each for each in expression.walk() if each.head == "/" and self._fails(each, bound)][-1]
-                for_them = f" for ({arguments})" if arguments else ""
-                refuse(self.encoder.file, inner.place if inner.place.line else self.place,
-                       f"action '{self.name}' divides by zero in '{shown(inner)}'{for_them}; expected a "
-                       "divisor other than 0")  # fmt: skip
+        if (instance := self.instance(bound)) is not None:
+            inner = [each for each in expression.walk() if each.head == "/" and self._fails(each, bound)][-1]
+            for_them = f" for ({' '.join(instance)})" if instance else ""
+            refuse(self.encoder.file, inner.place if inner.place.line else self.place,
+                   f"action '{self.name}' divides by zero in '{shown(inner)}'{for_them}; expected a "
+                   "divisor other than 0")  # fmt: skip
+
+    def instance(self, bound: Mapping[str, str]) -> tuple[str, ...] | None:
+        """Return the objects of an instance of the action with some objects, which its static conditions admit."""
+        kinds = {name: kind for name, kind in self.kinds.items() if not name.startswith("?value")}
+        rows = self.statics.bindings(kinds, self.conditions)
+        return next((tuple(row.values()) for row in rows if bound.items() <= row.items()), None)
 
     def _fails(self, expression: Expression, bound: Mapping[str, str]) -> bool:
         """Whether a static expression divides by zero."""
@@ -335,78 +346,75 @@ class Scope:
             found.append((own, {tuple(row.values()) for row in self.rows(own, ())}))
         return found
 
-    def related(self, static: Expression, variables: Sequence[Sum | str], numbers: Sequence[frozenset[Number]],
-                names: Sequence[str | None], holds: Callable[..., Sequence[Number | Beyond] | bool | None],
-                fluent: Expression | None = None) -> frozenset[Number]:  # fmt: skip
-        """Require a static relation between the value of a static expression and values.
+    def related(
+        self, static: Expression, values: Sequence[Sum], holds: Related, fluent: Expression | None = None
+    ) -> None:
+        """Require that the value of a static expression and numbers are related.
 
-        `holds` gets the static value and one number for each variable. It returns whether they are related, or the
-        further number that they are related to, for which a variable is the last of `variables`. `names` has the
-        function whose objects stand for the numbers of a variable, or None. A `fluent` is the one for which the
-        relation is made, where its values are different ones for different objects.
+        A `fluent` is the one for which the relation is made, where its numbers are different ones for different
+        objects.
         """
+        self._require_related(static, values, holds, None, fluent)
+
+    def result(
+        self, static: Expression, values: Sequence[Sum], holds: Related, function: str | None = None,
+        fluent: Expression | None = None,
+    ) -> Sum:  # fmt: skip
+        """Return a variable for the number, of a function, to which a static expression and numbers are related."""
+        result = Sum(self.fresh(), frozenset(), function)
+        return replace(result, numbers=self._require_related(static, values, holds, result, fluent))
+
+    def _require_related(
+        self, static: Expression, values: Sequence[Sum], holds: Related, result: Sum | None, fluent: Expression | None
+    ) -> frozenset[Number]:
+        """Require a relation, and return the numbers of its result."""
         encoder = self.encoder
-        names_of = [each if isinstance(each, str) else each.variable for each in variables]
-        more = free_variables(fluent) if fluent is not None else {}
-        columns, static_rows = self.static_rows(static, more)
-        size = 1
-        for each in numbers:
-            size *= max(len(each), 1)
-        if size > MOST_ROWS:
-            encoder.too_many(self.place, f"action '{self.name}'" if self.name else "a condition")
-        if columns and fluent is None and size * len(static_rows) > DIRECT_ROWS:
+        columns, static_rows = self.static_rows(static, () if fluent is None else free_variables(fluent))
+        size = prod(max(len(each.numbers), 1) for each in values)
+        if columns and fluent is None and size <= MOST_ROWS and size * len(static_rows) > DIRECT_ROWS:
             measure = self.measured(static)
             columns = (measure.variable,)
             static_rows = [((encoder.object_of(value),), value) for value in sorted(measure.numbers)]
         encoder.tried += size * len(static_rows)
-        if size * len(static_rows) > MOST_ROWS or encoder.tried > MOST_TRIED:
+        if size > MOST_ROWS or size * len(static_rows) > MOST_ROWS or encoder.tried > MOST_TRIED:
             encoder.too_many(self.place, f"action '{self.name}'" if self.name else "a condition")
         rows: list[tuple[str, ...]] = []
-        results: set[Number] = set()
+        found: set[Number] = set()
         for row, value in static_rows:
-            of: Fluent | None = None
-            pools: Sequence[Iterable[Number]] = numbers
-            if fluent is not None:
-                bound = dict(zip(columns, row, strict=True))
-                of = tuple(bound.get(each, each) for each in key(fluent))
-                own = encoder.sets.values.get(of, set())
-                pools = [
-                    [each for each in pool if names[n] != fluent.head or n > 0 or each in own]
-                    for n, pool in enumerate(numbers)
+            of = None if fluent is None else key(fluent, dict(zip(columns, row, strict=True)))
+            pools: list[Iterable[Number]] = [each.numbers for each in values]
+            if of is not None and values and values[0].function == of[0]:
+                pools[0] = [number for number in pools[0] if number in encoder.sets.values.get(of, ())]
+            for numbers in itertools.product(*pools):
+                related = holds(value, *numbers, of)
+                words = [
+                    self._object(each.function, number, None if place else of)
+                    for place, (each, number) in enumerate(zip(values, numbers, strict=True))
                 ]
-            for combination in itertools.product(*pools):
-                result = holds(value, *combination, of) if fluent is not None else holds(value, *combination)
-                if result is None or result is False:
+                if result is None:
+                    rows += [(*row, *words)] if related else []
                     continue
-                words = [self._object(names[n], each, of if n == 0 else None) for n, each in enumerate(combination)]
-                if not isinstance(result, bool):
-                    for after in result:
-                        if isinstance(after, Beyond):
-                            rows.append((*row, *words, encoder.beyond()))
-                            continue
-                        results.add(after)
-                        rows.append((*row, *words, self._object(names[-1], after, of)))
-                else:
-                    rows.append((*row, *words))
-        if not rows and not columns and not names_of:
-            self.atoms.append(FALSE)
-            return frozenset()
-        if not columns and not names_of:
-            return frozenset()
-        self.require(rows, (*columns, *names_of))
-        return frozenset(results)
+                assert not isinstance(related, bool)
+                for after in related or ():
+                    if isinstance(after, Beyond):
+                        rows.append((*row, *words, encoder.beyond()))
+                    else:
+                        found.add(after)
+                        rows.append((*row, *words, self._object(result.function, after, of)))
+        variables = [each.variable for each in (*values, *([] if result is None else [result]))]
+        if columns or variables or not rows:
+            self.require(rows, (*columns, *variables))
+        return frozenset(found)
 
     def _object(self, name: str | None, value: Number, of: Fluent | None) -> str:
-        if name is None:
-            return self.encoder.object_of(value)
-        if of is not None and of[0] == name:
-            return self.encoder.object_of(value, of)
+        if name is None or (of is not None and of[0] == name):
+            return self.encoder.object_of(value, of if name is not None else None)
         return self.encoder.fluent_object(name, value)
 
     def computed(self, expression: Expression) -> Sum:
         """Return a variable for the value of an expression that reads changing numbers."""
         if expression.head not in OPERATIONS:
-            return Sum(self.value_of(expression), self.encoder.numbers[expression.head])
+            return Sum(self.value_of(expression), self.encoder.numbers[expression.head], expression.head)
         split = linear(expression, self.statics.is_static)
         if split is not None:
             terms, rest = split
@@ -417,11 +425,10 @@ class Scope:
                 return self.measured(rest)
             if literal_number(rest) == 0:
                 return found
-            return self._result(rest, [found], [None], lambda value, number: [number + value])
+            return self.result(rest, [found], lambda value, number, _: [number + value])
         sides = expression.parts[1:]
         if expression.head == "-" and len(sides) == 1:
-            inner = self.computed(sides[0])
-            return self._result(word("0"), [inner], [None], lambda _, number: [-number])
+            return self.result(ZERO, [self.computed(sides[0])], lambda _, number, _of: [-number])
         left: Sum | Expression = sides[0] if self.statics.is_static(sides[0]) else self.computed(sides[0])
         for right in sides[1:]:
             left = self._operated(expression.head, left, right)
@@ -438,80 +445,53 @@ class Scope:
         if isinstance(left, Expression):
             if self.statics.is_static(right):
                 return listed(word(operation), left, right)
-            return self._result(left, [self.computed(right)], [None], lambda value, number: result(value, number))
+            return self.result(left, [self.computed(right)], lambda value, number, _: result(value, number))
         if self.statics.is_static(right):
-            return self._result(right, [left], [None], lambda value, number: result(number, value))
-        both = [left, self.computed(right)]
-        return self._result(word("0"), both, [None, None], lambda _, one, other: result(one, other))
+            return self.result(right, [left], lambda value, number, _: result(number, value))
+        return self.result(ZERO, [left, self.computed(right)], lambda _, one, other, _of: result(one, other))
 
     def _scaled(self, term: Expression, factor: Number) -> Sum:
         own = self.computed(term)
-        if factor == 1:
-            return own
-        return self._result(word("0"), [own], [term.head], lambda _, number: [number * factor])
+        return own if factor == 1 else self.result(ZERO, [own], lambda _, number, _of: [number * factor])
 
     def _accumulated(self, found: Sum, term: Expression, factor: Number) -> Sum:
-        own = self.computed(term)
-        return self._result(
-            word("0"), [found, own], [None, term.head], lambda _, one, other: [one + other * factor]
-        )  # fmt: skip
-
-    def _result(self, static: Expression, values: list[Sum], names: list[str | None],
-                holds: Callable[..., Sequence[Number] | bool | None]) -> Sum:  # fmt: skip
-        variable = self.fresh()
-        numbers = [each.numbers for each in values]
-        found = self.related(static, [*values, variable], numbers, [*names, None], holds)
-        return Sum(variable, found)
+        return self.result(ZERO, [found, self.computed(term)], lambda _, one, other, _of: [one + other * factor])
 
     def compare(self, comparison: Expression) -> None:
         """Require that a comparison is satisfied."""
         head, (left, right) = comparison.head, comparison.parts[1:]
         split = linear(listed(word("-"), left, right), self.statics.is_static)
+        if split is None and self.statics.is_static(left):
+            self.related(left, [self.computed(right)], lambda value, number, _: compared(head, value, number))
+            return
+        if split is None and self.statics.is_static(right):
+            self.related(right, [self.computed(left)], lambda value, number, _: compared(head, number, value))
+            return
         if split is None:
-            both = [None if self.statics.is_static(side) else self.computed(side) for side in (left, right)]
-            one, other = both
-            if one is None or other is None:
-                static, value = (left, other) if one is None else (right, one)
-                assert value is not None
-                self.related(
-                    static, [value], [value.numbers], [None],
-                    lambda s, v: compared(head, s, v) if one is None else compared(head, v, s),
-                )  # fmt: skip
-                return
-            self.related(
-                word("0"), [one, other], [one.numbers, other.numbers], [None, None],
-                lambda _, a, b: compared(head, a, b),
-            )  # fmt: skip
+            both = [self.computed(left), self.computed(right)]
+            self.related(ZERO, both, lambda _, one, other, _of: compared(head, one, other))
             return
         terms, rest = split
         if not terms:
             self._compare_static(comparison, rest)
             return
         listing = list(terms.values())
+        term, factor = listing[-1]
         if len(listing) == 1:
-            ((term, factor),) = listing
             fluent = term if term.head in self.encoder.special else None
-            self.related(
-                rest, [self.value_of(term)], [self.encoder.numbers[term.head]], [term.head],
-                lambda s, v, _=None: compared(head, factor * v + s, 0), fluent,
-            )  # fmt: skip
+            self.related(rest, [self.computed(term)], lambda s, v, _: compared(head, factor * v + s, 0), fluent)
             return
         if self._share(head, listing, rest):
             return
         found = self._scaled(*listing[0])
-        for term, factor in listing[1:-1]:
-            found = self._accumulated(found, term, factor)
-        term, factor = listing[-1]
+        for each, by in listing[1:-1]:
+            found = self._accumulated(found, each, by)
         if literal_number(rest) is None:
             found = self._accumulated(found, term, factor)
-            self.related(rest, [found], [found.numbers], [None], lambda s, v: compared(head, v + s, 0))
-            return
-        last = self.computed(term)
-        first = listing[0][0].head if len(listing) == 2 and listing[0][1] == 1 else None
-        self.related(
-            rest, [found, last], [found.numbers, last.numbers], [first, term.head],
-            lambda s, a, b: compared(head, a + factor * b + s, 0),
-        )  # fmt: skip
+            self.related(rest, [found], lambda s, v, _: compared(head, v + s, 0))
+        else:
+            both = [found, self.computed(term)]
+            self.related(rest, both, lambda s, one, other, _: compared(head, one + factor * other + s, 0))
 
     def _share(self, head: str, listing: list[tuple[Expression, Number]], rest: Expression) -> bool:
         """Let two terms that must be equal have one variable, if both have values of their own kind only."""
@@ -548,8 +528,7 @@ class Scope:
         """Return a condition in which comparisons are facts and relations, with variables of their own if needed."""
         head, parts = condition.head, condition.parts[1:]
         if head in ("and", "or"):
-            inner = (self.formula(part) for part in parts)
-            return conjunction(inner) if head == "and" else disjunction(inner)
+            return joined(head, map(self.formula, parts))
         if head in ("forall", "exists") and is_numeric(condition):
             self.kinds.update(variables_of(parts[0]))
             return listed(condition.parts[0], parts[0], self.formula(parts[1]))
@@ -567,55 +546,32 @@ class Scope:
         """Return conditions of which one holds where a comparison is not satisfied."""
         found = [comparison._replace(parts=(word(COMPLEMENT[comparison.head]), *comparison.parts[1:]))]
         for side in comparison.parts[1:]:
-            for term in terms_of(side):
-                if term.head in self.statics.values:
-                    if self._is_partial(term):
-                        found.append(listed(word("undefined"), term))
-                elif term.head in self.encoder.undefined or self.lacks_fluents(term):
-                    found.append(listed(word("undefined"), term))
+            found += [
+                listed(word("undefined"), term) for term in terms_of(side)
+                if term.head in self.encoder.undefined or self.missing(term)
+            ]  # fmt: skip
             for each in side.walk():
                 if each.head == "/":
                     zero = (listed(word("=="), divisor, word("0")) for divisor in each.parts[2:])
                     found += [one for one in zero if not self.statics.is_static(one.parts[1])]
         return found
 
-    def _is_partial(self, term: Expression) -> bool:
-        values = self.statics.values[term.head]
-        variables = {name: self.kinds[name] for name in free_variables(term)}
-        return any(
-            tuple(dict(zip(variables, row, strict=True)).get(each, each) for each in key(term)[1:]) not in values
-            for row in self.statics.bindings(variables, ())
-        )
-
-    def lacks_fluents(self, term: Expression) -> bool:
-        """Return whether a term is no fluent for some objects."""
-        variables = {name: self.kinds[name] for name in free_variables(term)}
-        return any(
-            tuple(dict(zip(variables, row, strict=True)).get(each, each) for each in key(term))
-            not in self.encoder.sets.values
-            for row in self.statics.bindings(variables, ())
-        )
+    def missing(self, term: Expression) -> list[tuple[str, ...]]:
+        """Return the objects for the variables of a term for which it is no fluent, and has no static value."""
+        encoder, static = self.encoder, self.statics.values.get(term.head)
+        known = encoder.sets.values.keys() if static is None else {(term.head, *row) for row in static}
+        rows = self.statics.bindings({name: self.kinds[name] for name in free_variables(term)}, ())
+        return [tuple(row.values()) for row in rows if key(term, row) not in known]
 
     def has_no_value(self, term: Expression) -> None:
         """Require that a term has no value."""
-        encoder = self.encoder
-        variables = {name: self.kinds[name] for name in free_variables(term)}
-        missing = []
-        for row in self.statics.bindings(variables, ()):
-            bound = dict(zip(variables, row, strict=True))
-            words = tuple(bound.get(each, each) for each in key(term))
-            static = self.statics.values.get(term.head)
-            if (static is not None and words[1:] not in static) or (
-                static is None and words not in encoder.sets.values
-            ):
-                missing.append(row)
-        ways = []
+        missing, variables, ways = self.missing(term), free_variables(term), list[Expression]()
         if missing and variables:
-            ways.append(listed(word(encoder.relation(missing)), *map(word, variables)))
+            ways.append(listed(word(self.encoder.relation(missing)), *map(word, variables)))
         elif missing:
             ways.append(TRUE)
-        if term.head in encoder.undefined:
-            ways.append(self.fact(term, encoder.object_of(None)))
+        if term.head in self.encoder.undefined:
+            ways.append(self.fact(term, self.encoder.object_of(None)))
         self.atoms.append(disjunction(ways))
 
     def _inner(self, fill: Callable[[Scope], None]) -> Expression:
@@ -625,6 +581,4 @@ class Scope:
         body = conjunction(inner.atoms)
         if not inner.variables or body == FALSE:
             return body
-        kind = self.encoder.value_type
-        words = (word(text) for name in inner.variables for text in (name, "-", kind))
-        return listed(word("exists"), listed(*words), body)
+        return listed(word("exists"), listing_of(dict.fromkeys(inner.variables, self.encoder.value_type)), body)

@@ -26,7 +26,7 @@ from enum import Enum
 from fractions import Fraction
 from typing import Any
 
-from .durative import Change, Schema, key
+from .durative import Change, Schema
 from .expressions import (
     COMPLEMENT,
     FALSE,
@@ -38,6 +38,7 @@ from .expressions import (
     disjunction,
     free_variables,
     is_numeric,
+    key,
     linear,
     listed,
     number,
@@ -166,7 +167,7 @@ def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -
             guard = conjunction(_resolved(statics.simplified(each, bound), known) for each in numeric)
             if guard == FALSE:
                 continue
-            fluent = tuple(bound.get(word, word) for word in key(change.term))
+            fluent = key(change.term, bound)
             try:
                 amount = statics.evaluated(change.amount, bound)
             except ArithmeticError:
@@ -188,8 +189,7 @@ def _rows(
 ) -> Iterable[dict[str, str]]:
     terms = [term for term in terms_of(change.amount) if term.head in statics.values]
     plain = [each for each in conditions if not is_numeric(each) or each.head in COMPLEMENT]
-    for row in statics.bindings(variables, plain, terms):
-        yield dict(zip(variables, row, strict=True))
+    return statics.bindings(variables, plain, terms)
 
 
 def possible(condition: Expression, known: Mapping[str, Value]) -> bool:
@@ -495,9 +495,8 @@ def _limits(
         variables = {
             name: read.kinds[name] for name in dict.fromkeys([*free_variables(term), *free_variables(rest)])
         }  # fmt: skip
-        for row in statics.bindings(variables, read.conditions, terms_of(rest)):
-            bound = dict(zip(variables, row, strict=True))
-            fluent = tuple(bound.get(each, each) for each in key(term))
+        for bound in statics.bindings(variables, read.conditions, terms_of(rest)):
+            fluent = key(term, bound)
             try:
                 threshold = whole(Fraction(-statics.value(rest, bound)) / factor)
             except ArithmeticError:
