@@ -141,6 +141,20 @@ def linear(
     return found, rest
 
 
+def isolated(
+    comparison: Expression, static: Callable[[Expression], bool]
+) -> tuple[Expression, str, Expression, Number] | None:
+    """Return a comparison of one changing term: the term, how it is compared with - rest / factor, rest, and factor.
+
+    Returns None for other comparisons. Where the factor is 0, the term does not matter.
+    """
+    split = linear(listed(word("-"), *comparison.parts[1:]), static)
+    if split is None or len(split[0]) != 1:
+        return None
+    ((term, factor),) = split[0].values()
+    return term, comparison.head if factor > 0 else MIRRORED[comparison.head], split[1], factor
+
+
 def word_of(value: Number) -> Expression:
     """Return a number as an expression."""
     if value.denominator == 1:
@@ -170,6 +184,8 @@ TRUE = listed(word("and"))
 FALSE = listed(word("or"))
 COMPLEMENT = {"<": ">=", ">=": "<", ">": "<=", "<=": ">", "==": "!=", "!=": "=="}
 """The comparison that is true of two numbers where another one is false."""
+MIRRORED = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "==", "!=": "!="}
+"""The comparison that holds for numbers of which another one holds if their signs are changed."""
 DUAL = {"and": "or", "or": "and", "forall": "exists", "exists": "forall"}
 """The connective of the negated parts of a condition that is negated."""
 SIGNS = {"<": {-1}, "<=": {-1, 0}, "==": {0}, "!=": {-1, 1}, ">=": {0, 1}, ">": {1}}

@@ -11,11 +11,12 @@ that only grow, with weights of 0 or more. The values with which these begin are
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import lcm
 from pathlib import Path
+from typing import NoReturn, TypeVar
 
 from ..system.errors import UnsuitedError
 from .declarations import refuse, shown
@@ -139,6 +140,8 @@ def unit_of(costs: Iterable[Number]) -> Fraction:
     return Fraction(1, lcm(*{cost.denominator for cost in costs}))
 
 
+T = TypeVar("T")
+
 MOST_VARIANTS = 128
 """Largest number of schemas into which one action is divided."""
 MOST_WRITTEN_OUT = 2_000
@@ -233,9 +236,9 @@ class Preparation:
         found = []
         try:
             timed = self._written_out(timed).mapped(self.statics.expanded)
-            for started in self._started(timed):
-                for variant in self._distinct(started):
-                    decided = self._decided(merged(self.file, variant, self.derived))
+            for started in self._divided(timed, timed, self._by_change_at_start):
+                for variant in self._divided(timed, started, self._by_equality):
+                    decided = self._divided(timed, merged(self.file, variant, self.derived), self._by_condition)
                     found += [self._costed(each) for each in decided if each.precondition != FALSE]
         except UnsuitedError:
             refuse(self.file, timed.place, f"action '{timed.name}' has too many combinations of objects in conditions "
@@ -244,11 +247,23 @@ class Preparation:
             self._too_many(timed)
         return found
 
-    def _too_many(self, timed: TimedSchema) -> None:
+    def _too_many(self, timed: TimedSchema) -> NoReturn:
         refuse(
             self.file, timed.place, f"action '{timed.name}' has more than {MOST_VARIANTS} forms, since its conditional "
             "changes of numbers, or its terms that may be the same, combine; expected fewer of them in one action",
         )  # fmt: skip
+
+    def _divided(self, timed: TimedSchema, first: T, division: Callable[[T], tuple[T, T] | None]) -> list[T]:
+        """Return the forms of an action, each of which is divided as long as `division` returns two of it."""
+        waiting, found = [first], list[T]()
+        while waiting:
+            each = waiting.pop()
+            both = division(each)
+            waiting += both or ()
+            found += [each] if both is None else []
+            if len(found) > MOST_VARIANTS:
+                self._too_many(timed)
+        return found
 
     def _without_dead(self, timed: TimedSchema) -> TimedSchema:
         """Return the schema without changes of functions that nothing reads."""
@@ -278,25 +293,16 @@ class Preparation:
                 changes.append((time, self.statics.simplified(before, bound), replace(each, condition=condition)))
         return replace(timed, changes=tuple(changes))
 
-    def _distinct(self, timed: TimedSchema) -> Iterator[TimedSchema]:
-        """Yield schemas in which two terms that matter are alike in name, or never the same."""
-        waiting, made = [timed], 0
-        while waiting:
-            schema = waiting.pop()
-            pair = self._doubtful(schema)
-            if pair is None:
-                made += 1
-                if made > MOST_VARIANTS:
-                    self._too_many(timed)
-                yield schema
-                continue
-            waiting.append(schema.with_condition(unsatisfied(pair)))
-            equal = schema.with_condition(pair)
-            for equality in conjuncts(pair):
-                one, other = equality.parts[1].word, equality.parts[2].word
-                bound = {one: other} if one.startswith("?") else {other: one}
-                equal = bound_in(equal, bound)
-            waiting.append(equal)
+    def _by_equality(self, schema: TimedSchema) -> tuple[TimedSchema, TimedSchema] | None:
+        """Return schemas in which two terms that matter are never the same, and alike in name."""
+        pair = self._doubtful(schema)
+        if pair is None:
+            return None
+        equal = schema.with_condition(pair)
+        for equality in conjuncts(pair):
+            one, other = equality.parts[1].word, equality.parts[2].word
+            equal = bound_in(equal, {one: other} if one.startswith("?") else {other: one})
+        return schema.with_condition(unsatisfied(pair)), equal
 
     def _doubtful(self, schema: TimedSchema) -> Expression | None:
         """Return the condition that two terms of a schema are the same, where that is not known and matters."""
@@ -346,60 +352,48 @@ class Preparation:
         return [term for term in found if not any(part.word == "" for part in term.parts)]
 
     @staticmethod
-    def _started(timed: TimedSchema) -> Iterator[TimedSchema]:
-        """Yield schemas in which the changes at the start of a durative action have no conditions."""
-        waiting = [timed]
-        while waiting:
-            schema = waiting.pop()
-            conditions = [
-                conjunction((before, change.condition)) for time, before, change in schema.changes
-                if schema.durations is not None and time == START and not change.variables
-            ]  # fmt: skip
-            condition = next((each for each in conditions if each != TRUE), None)
-            if condition is None:
-                yield schema
-                continue
-            alike = [
-                time == START and str(conjunction((before, change.condition))) == str(condition)
-                for time, before, change in schema.changes
-            ]  # fmt: skip
-            both = list(zip(alike, schema.changes, strict=True))
-            true = tuple(
-                (time, TRUE, replace(change, condition=TRUE)) if same else (time, before, change)
-                for same, (time, before, change) in both
-            )
-            false = tuple(each for same, each in both if not same)
-            if len(waiting) > MOST_VARIANTS:
-                raise UnsuitedError
-            waiting.append(replace(schema.with_condition(unsatisfied(condition)), changes=false))
-            waiting.append(replace(schema.with_condition(condition), changes=true))
+    def _by_change_at_start(schema: TimedSchema) -> tuple[TimedSchema, TimedSchema] | None:
+        """Return schemas of a durative action without and with a change at its start that has a condition."""
+        conditions = [
+            conjunction((before, change.condition)) if time == START and not change.variables else TRUE
+            for time, before, change in schema.changes
+        ]
+        condition = next((each for each in conditions if each != TRUE), None)
+        if condition is None or schema.durations is None:
+            return None
+        alike = [
+            time == START and str(conjunction((before, change.condition))) == str(condition)
+            for time, before, change in schema.changes
+        ]
+        both = list(zip(alike, schema.changes, strict=True))
+        true = tuple(
+            (time, TRUE, replace(change, condition=TRUE)) if same else (time, before, change)
+            for same, (time, before, change) in both
+        )
+        return (
+            replace(
+                schema.with_condition(unsatisfied(condition)), changes=tuple(each for same, each in both if not same)
+            ),
+            replace(schema.with_condition(condition), changes=true),
+        )
 
-    def _decided(self, schema: Schema) -> Iterator[Schema]:
-        """Yield schemas without conditional changes, apart from assignments of static values."""
-        waiting, made = [schema], 0
-        while waiting:
-            each = waiting.pop()
-            doubtful = next((change for change in each.changes if self._must_be_decided(change)), None)
-            if doubtful is None:
-                made += 1
-                if made > MOST_VARIANTS:
-                    raise UnsuitedError
-                yield replace(each, changes=tuple(map(_grown, self._summed(each.changes))))
-                continue
-            condition = doubtful.condition
-            alike = [str(change.condition) == str(condition) for change in each.changes]
-            with_it = tuple(
-                replace(change, condition=TRUE) if same else change
-                for same, change in zip(alike, each.changes, strict=True)
-                if not exclude(condition, change.condition)
-            )
-            without = tuple(change for same, change in zip(alike, each.changes, strict=True) if not same)
-            waiting.append(self._under(each, unsatisfied(condition), without))
-            waiting.append(self._under(each, condition, with_it))
+    def _by_condition(self, schema: Schema) -> tuple[Schema, Schema] | None:
+        """Return schemas without and with a conditional change, apart from assignments of static values."""
+        condition = next((change.condition for change in schema.changes if self._must_be_decided(change)), None)
+        if condition is None:
+            return None
+        alike = [str(change.condition) == str(condition) for change in schema.changes]
+        both = list(zip(alike, schema.changes, strict=True))
+        with_it = tuple(
+            replace(change, condition=TRUE) if same else change
+            for same, change in both if not exclude(condition, change.condition)
+        )  # fmt: skip
+        without = tuple(change for same, change in both if not same)
 
-    def _under(self, schema: Schema, condition: Expression, changes: tuple[Change, ...]) -> Schema:
-        """Return a schema with one more condition, and other changes."""
-        return replace(schema, precondition=conjunction((schema.precondition, condition)), changes=changes)
+        def under(one: Expression, changes: tuple[Change, ...]) -> Schema:
+            return replace(schema, precondition=conjunction((schema.precondition, one)), changes=changes)
+
+        return under(unsatisfied(condition), without), under(condition, with_it)
 
     def _must_be_decided(self, change: Change) -> bool:
         if change.condition == TRUE:
@@ -421,6 +415,7 @@ class Preparation:
 
     def _costed(self, schema: Schema) -> Costed:
         """Return a schema without changes that are only costs, with its cost."""
+        schema = replace(schema, changes=tuple(map(_grown, self._summed(schema.changes))))
         parts: list[Expression] = []
         if schema.duration is not None:
             if self.metric.time:

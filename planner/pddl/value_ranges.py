@@ -29,12 +29,11 @@ from .expressions import (
     as_shown,
     conjuncts,
     free_variables,
+    isolated,
     key,
     linear,
-    listed,
     terms_of,
     whole,
-    word,
 )
 from .instances import Expression, PDDLError, Place
 from .numeric_schemas import Costed
@@ -396,19 +395,15 @@ def _bounds(guard: Expression, text: str, integral: bool) -> Range:
     for condition in conjuncts(guard):
         if condition.head not in COMPLEMENT:
             continue
-        head, left, right = condition.head, *condition.parts[1:]
-        split = linear(listed(word("-"), left, right), lambda each: not terms_of(each))
-        if split is None or list(split[0]) != [text]:
+        found = isolated(condition, lambda each: not terms_of(each))
+        if found is None or str(found[0]) != text or not found[3] or (rest := literal_number(found[2])) is None:
             continue
-        (_, factor), rest = split[0][text], literal_number(split[1])
-        if rest is None or not factor:
-            continue
-        limit = whole(Fraction(-rest) / factor)
+        head, limit = found[1], whole(Fraction(-rest) / found[3])
         strict = integral and head in ("<", ">")
-        if head in ("==", ">=", ">") if factor > 0 else head in ("==", "<=", "<"):
+        if head in ("==", ">=", ">"):
             least = floor(limit) + 1 if strict else limit
             low = least if low is None else max(low, least)
-        if head in ("==", "<=", "<") if factor > 0 else head in ("==", ">=", ">"):
+        if head in ("==", "<=", "<"):
             most = ceil(limit) - 1 if strict else limit
             high = most if high is None else min(high, most)
     return low, high

@@ -26,7 +26,7 @@ from enum import Enum
 from fractions import Fraction
 from typing import Any
 
-from .durative import Change, Schema
+from .durative import Schema
 from .expressions import (
     COMPLEMENT,
     FALSE,
@@ -38,15 +38,13 @@ from .expressions import (
     disjunction,
     free_variables,
     is_numeric,
+    isolated,
     key,
-    linear,
-    listed,
     number,
     terms_of,
     unsatisfied,
     variables_of,
     whole,
-    word,
 )
 from .instances import Expression
 from .numeric_schemas import Costed
@@ -162,7 +160,9 @@ def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -
             if read & heads or own.keys() <= variables.keys():
                 variables.update(own)
                 numeric.append(condition)
-        for bound in _rows(statics, change, {name: scope[name] for name in variables}, conditions):
+        terms = [term for term in terms_of(change.amount) if term.head in statics.values]
+        plain = [each for each in conditions if not is_numeric(each) or each.head in COMPLEMENT]
+        for bound in statics.bindings({name: scope[name] for name in variables}, plain, terms):
             known = {str(statics.simplified(each, bound)) for each in conditions if each.head != "or"}
             guard = conjunction(_resolved(statics.simplified(each, bound), known) for each in numeric)
             if guard == FALSE:
@@ -182,14 +182,6 @@ def _resolved(condition: Expression, known: set[str]) -> Expression:
     if condition.head != "or":
         return condition
     return disjunction(part for part in condition.parts[1:] if str(unsatisfied(part)) not in known)
-
-
-def _rows(
-    statics: Statics, change: Change, variables: Mapping[str, str], conditions: Iterable[Expression]
-) -> Iterable[dict[str, str]]:
-    terms = [term for term in terms_of(change.amount) if term.head in statics.values]
-    plain = [each for each in conditions if not is_numeric(each) or each.head in COMPLEMENT]
-    return statics.bindings(variables, plain, terms)
 
 
 def possible(condition: Expression, known: Mapping[str, Value]) -> bool:
@@ -404,9 +396,6 @@ def initial_values(
     return found
 
 
-MIRRORED = {"<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "==", "!=": "!="}
-
-
 @dataclass(frozen=True)
 class Read:
     """A comparison with the types of all variables in scope, and the conditions under which it matters."""
@@ -460,16 +449,11 @@ def saturations(
         excluded.update(term.head for expression in expressions for term in terms_of(expression))
     cuts: dict[str, list[tuple[Read, Expression, str, Expression, Number]]] = {name: [] for name in kept}
     for read in compared:
-        head, (left, right) = read.comparison.head, read.comparison.parts[1:]
-        split = linear(listed(word("-"), left, right), statics.is_static)
-        names = [term.head for side in (left, right) for term in terms_of(side) if term.head not in statics.values]
-        if split is None or len(split[0]) != 1:
-            excluded.update(names)
-            continue
-        ((term, factor),) = split[0].values()
-        if not factor:
-            continue
-        cuts[term.head].append((read, term, head if factor > 0 else MIRRORED[head], split[1], factor))
+        found_term = isolated(read.comparison, statics.is_static)
+        if found_term is None:
+            excluded.update(term.head for side in read.comparison.parts[1:] for term in terms_of(side))
+        elif found_term[3]:
+            cuts[found_term[0].head].append((read, *found_term))
     found: dict[Fluent, Saturation] = {}
     for name, found_ways in ways.items():
         if name not in excluded and len(found_ways) == 1:
