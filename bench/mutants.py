@@ -64,7 +64,7 @@ TESTS = {
     "assist/certify/certificate.py": "test_certify",
     "assist/certify/prices.py": "test_attention_prices test_certify test_robots",
     "planner/system": "planner/system planner/batch",
-    "planner/pddl": "planner/pddl",
+    "planner/pddl": "planner/pddl test_engine test_engine_numbers",
     "planner/grounding": "planner/grounding test_engine test_engine_numbers",
     "planner/search": "planner/search test_engine test_engine_numbers",
     "planner/costtogo": "planner/costtogo test_state_indices test_engine test_engine_numbers",

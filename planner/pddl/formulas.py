@@ -84,17 +84,15 @@ class Formulas:
         self.unions = unions
         self.numeric = False
         self.in_time = False
-        self._used: set[str] = set()
         self._bound: set[str] = set()
 
     def refuse(self, at: Expression, message: str) -> NoReturn:
         """Raise a `PDDLError` with the place of the fault."""
         refuse(self.file, at, message)
 
-    def scope(self, variables: Iterable[Typed], whole: Expression) -> Scope:
-        """Return the scope of an action's or a rule's parameters, and start a new set of unique names for `whole`."""
+    def scope(self, variables: Iterable[Typed]) -> Scope:
+        """Return the scope of an action's or a rule's parameters, and start a new set of unique names."""
         found = {each.name: each for each in variables}
-        self._used = {each for each in whole.words if each.startswith("?")}
         self._bound = set(found)
         return found
 
@@ -126,7 +124,7 @@ class Formulas:
         inner, written = dict(scope), []
         for each in parameters(self.file, part.parts, self.names.types):
             name, number = each.name, 2
-            while name in self._bound or (name != each.name and name in self._used):
+            while name in self._bound:
                 name, number = f"{each.name}-{number}", number + 1
             self._bound.add(name)
             own = Typed(name, each.kinds, each.place)

@@ -282,7 +282,7 @@ def _sections(
 def _action(file: Path, part: Expression, formulas: Formulas) -> Action:
     found, parameters = _sections(file, part, (":parameters", ":precondition", ":effect"), formulas)
     title = part.parts[1]
-    scope = formulas.scope(parameters, part)
+    scope = formulas.scope(parameters)
     formulas.variables(parameters)  # for their types
     empty = listed(word("and"))
     precondition = formulas.condition(found.get(":precondition", empty), scope)
@@ -299,7 +299,7 @@ def _durative_action(file: Path, part: Expression, formulas: Formulas) -> Durati
         refuse(file, part, f"durative action '{title}' has no :duration; expected :duration (= {DURATION} NUMBER)")
     if (own := next((each for each in parameters if each.name == DURATION), None)) is not None:
         refuse(file, own.place, f"{DURATION} is the duration of action '{title}', and cannot be a parameter")
-    scope = formulas.scope(parameters, part)
+    scope = formulas.scope(parameters)
     formulas.variables(parameters)  # for their types
     formulas.numeric = True
     duration = formulas.duration(found[":duration"], scope, title.word)
@@ -315,7 +315,7 @@ def _rule(file: Path, part: Expression, formulas: Formulas) -> Rule:
         refuse(file, part, "expected (:derived (PREDICATE ?VARIABLE - TYPE ...) CONDITION)")
     head = part.parts[1]
     parameters = declarations.parameters(file, head.parts[1:], formulas.names.types)
-    scope = formulas.scope(parameters, part)
+    scope = formulas.scope(parameters)
     formulas.variables(parameters)  # for their types
     arguments = (Expression(each.name, (), each.place) for each in parameters)
     formulas.atom(head._replace(parts=(head.parts[0], *arguments)), scope)
@@ -350,7 +350,7 @@ def _problem(
         objects=objects,
         facts=facts,
         values=values,
-        goal=formulas.condition(goal.parts[1], formulas.scope((), goal)),
+        goal=formulas.condition(goal.parts[1], formulas.scope(())),
         metric=None if metric is None else metric.place,
         init=init.place,
         minimized=minimized,

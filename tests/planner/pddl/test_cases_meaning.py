@@ -264,6 +264,13 @@ EXCLUDED = {
     ),
 }  # fmt: skip
 """Costs that are negative for some values of their numbers, which a condition excludes."""
+NAMED = {
+    "objects like numbers": (
+        "(:types t) (:constants 1 2 - t) (:predicates (q)) (:functions (n)) (:action a :parameters (?x - t) "
+        ":precondition (and (= ?x 2) (not (= 1 ?x)) (>= (n) 2)) :effect (q)) (:action b :effect (increase (n) 1))",
+        "(:init (= (n) 0)) (:goal (q))", 3,
+    ),
+}  # fmt: skip
 
 CASES = {
     f"{kind}: {name}": case
@@ -278,6 +285,7 @@ CASES = {
         "divided": DIVIDED,
         "unread": UNREAD,
         "excluded": EXCLUDED,
+        "named": NAMED,
     }.items()
     for name, case in cases.items()
 }

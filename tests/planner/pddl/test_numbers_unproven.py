@@ -140,6 +140,33 @@ def test_a_requirement_that_is_not_used_is_accepted(unused: str, tmp_path: Path)
     assert read(instance(file)).numeric
 
 
+def test_what_facts_say_of_a_number_bounds_it_on_both_sides(tmp_path: Path) -> None:
+    """Taken parts and free ones are 3 together, also after all were put back at once."""
+    domain = """(:types part) (:predicates (free ?p - part)) (:functions (n))
+      (:action take :parameters (?p - part) :precondition (free ?p) :effect (and (not (free ?p)) (increase (n) 1)))
+      (:action put :parameters (?p - part) :precondition (not (free ?p)) :effect (and (free ?p) (decrease (n) 1)))
+      (:action reset :effect (and (assign (n) 0) (forall (?p - part) (free ?p))))"""
+    problem = "(:objects a b c - part) (:init (= (n) 0) (free a) (free b) (free c)) (:goal (= (n) 3))"
+    task = loaded(tmp_path, domain, problem)
+    assert (task.note, len(sweep(task))) == (None, 8)
+    numbers = {fact for each in task.variables for fact in each.facts if fact.startswith("Atom n(")}
+    assert numbers == {f"Atom n() = {number}" for number in range(4)}
+
+
+@pytest.mark.parametrize(("after", "begin", "said"), [
+    ("(/ (n) 2)", 8, "comes ever closer to 0"), ("(/ (n) 2)", -8, "has no proven limit"),
+    ("(+ (/ (n) 2) 1)", 8, "has no proven limit"), ("(* (n) -2)", 8, "has no proven limit"),
+    ("(* (n) 2)", 8, "grows without a limit"), ("(+ (n) (+ (n) 1))", 0, "grows without a limit"),
+])  # fmt: skip
+def test_how_a_number_leads_to_ever_more_values_is_said(after: str, begin: int, said: str, tmp_path: Path) -> None:
+    file = written(
+        tmp_path, f"(:functions (n)) (:action a :effect (assign (n) {after}))",
+        f"(:init (= (n) {begin})) (:goal (= (n) 3))",
+    )  # fmt: skip
+    with pytest.raises(PDDLError, match=rf"\(n\) {said} \(a\)"):
+        Compiler(read(instance(file)), 200).compilation()
+
+
 COUNTERS = """(:functions (n) (m)) (:predicates (done) (open))
   (:action more :effect (increase (n) 1)) (:action less :effect (decrease (n) 1))
   (:action longer :effect (increase (m) 1)) (:action shorter :effect (decrease (m) 1))

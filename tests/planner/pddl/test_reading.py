@@ -256,6 +256,7 @@ def test_what_is_of_a_supertype_may_be_of_the_type(tmp_path: Path) -> None:
         ("(total-cost) 1)", "(total-cost) one)", 17, 30, "action 'take' costs 'one'; expected a number"),
         ("(total-cost) 1)", "(total-cost) 1,5)", 17, 30, "costs '1,5'"),
         ("(total-cost) 1)", "(total-cost) -1)", 17, 30, "may not be negative"),
+        ("(total-cost) 1)", "(total-cost) (- 1))", 17, 30, "may not be negative"),
         ("(total-cost) 1)", "(total-cost))", 17, 7, "'increase' expects exactly two arguments"),
         ("(total-cost) 1)", "(total-cost) 1) (increase (total-cost) 5)", 17, 33, "action 'take' has two costs"),
         # Problems.
