@@ -147,7 +147,7 @@ def _check_sections(file: Path, whole: Expression, sections: tuple[str, ...]) ->
             shown = part.word or f"({part.head}"
             refuse(file, part, f"'{shown}' is not expected here{meant(part.head, sections)}")
         if part.head in seen and part.head not in (":action", ":durative-action", ":derived"):
-            refuse(file, part, f"a second ({part.head}; the first is on line {seen[part.head]}")
+            refuse(file, part, f"a second ({part.head} ...); the first is on line {seen[part.head]}")
         seen[part.head] = part.place.line
 
 

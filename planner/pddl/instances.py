@@ -410,7 +410,7 @@ def _nearest(problem: Path, found: list[Path]) -> list[Path]:
 
 def _fitting(problem: Path, heads: Heads) -> list[Path]:
     """Return the domain file of a problem; several files where the choice is ambiguous."""
-    wanted, default = heads[problem].domain, problem.with_name(DOMAIN_FILE)
+    wanted, default = heads[problem].domain, problem.parent / DOMAIN_FILE
     if not wanted or (heads[default].is_domain and heads[default].domain == wanted):
         return [default]
     for defined in _places(problem, heads):
@@ -441,7 +441,7 @@ def instance(problem: str | Path, domain: str | Path | None = None) -> Instance:
 
 def _instance(problem: Path, domain: str | Path | None, heads: Heads) -> Instance:
     found = [Path(domain)] if domain is not None else _fitting(problem, heads)
-    return Instance(problem, found[0] if len(found) == 1 else problem.with_name(DOMAIN_FILE))
+    return Instance(problem, found[0] if len(found) == 1 else problem.parent / DOMAIN_FILE)
 
 
 def missing(instance: Instance) -> PDDLError | None:
@@ -476,7 +476,9 @@ def _shown(files: Sequence[object]) -> str:
     return ", ".join([*map(str, files[:shown]), *more])
 
 
-def find_instances(names: Iterable[str | Path], domain: str | Path | None = None) -> list[Instance]:
+def find_instances(
+    names: str | Path | Iterable[str | Path], domain: str | Path | None = None
+) -> list[Instance]:  # fmt: skip
     """Return the instances that problem files, folders, globs and names of bundled tasks stand for.
 
     A folder stands for every `*.pddl` file in it and its subfolders that does not define a domain, in sorted order. No
@@ -484,7 +486,7 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
 
     Parameters
     ----------
-    names : iterable of path
+    names : path, or iterable of path
         Problem files, folders and globs. A name without such a file or folder is a bundled task, such as
         `kitting/paper`, or a folder of bundled tasks, such as `kitting`.
     domain : path, optional
@@ -505,7 +507,7 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
         return file.is_file() and not is_domain
 
     found: dict[Instance, None] = {}
-    for name in names:
+    for name in [names] if isinstance(names, str | Path) else names:
         path = Path(name)
         if path.is_file():
             files = [path]

@@ -129,7 +129,7 @@ def unproven(proofs: Proofs, fluent: Fluent, found: Range, most: int) -> Unprove
     low, high = found
     if low is not None and high is not None:
         return refusal(f"{shown} has more than {most} values, from {as_shown(low)} to {as_shown(high)}; expected "
-                       "fewer, by a smaller capacity or larger steps, or a larger limit of values")  # fmt: skip
+                       "fewer, by a smaller capacity or larger steps, or a larger --most-values")  # fmt: skip
     ways: dict[str, set[str]] = defaultdict(set)
     for change in proofs.of_all:
         if change.fluent[0] == fluent[0] and (way := _way(change, proofs.initial.get(change.fluent))) is not None:

@@ -240,7 +240,8 @@ CASES = {
         ":effect (increase (n) 1)) (:action down :parameters () :precondition (> (n) 0) :effect (decrease (n) 1)) "
         "(:action stop :parameters () :precondition (= (n) 3) :effect (done))",
         "(:init (= (n) 0) (= (top) 100000)) (:goal (done))",
-        said="(n) has more than 1000 values, from 0 to 100000",
+        said="(n) has more than 1000 values, from 0 to 100000; expected fewer, by a smaller capacity or larger "
+        "steps, or a larger --most-values",
     ),
     "object and number equality": Case(
         "(:types slot) (:predicates (used ?s - slot)) (:functions (n ?s - slot)) (:action use :parameters (?a ?b "

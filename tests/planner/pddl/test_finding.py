@@ -173,3 +173,9 @@ def test_records_name_the_domain_that_was_found(tmp_path: Path) -> None:
         ("solved", "packing_domain.pddl"), ("invalid", "domain.pddl"),
     ]  # fmt: skip
     assert "b/p.pddl" in done.stderr
+
+
+@pytest.mark.parametrize("folder", ["", "."])
+def test_a_folder_without_a_name_is_no_problem_file(folder: str) -> None:
+    with pytest.raises(PDDLError, match="is a folder; expected the file of a problem"):
+        load(folder)

@@ -72,7 +72,7 @@ CHANGED = {
         "fetch\n    :parameters (?c - container)", "fetch\n    :parameters ?c", ":parameters ?c", "'fetch'",
     ),
     "two initial states": (
-        "(:goal", "(:init (platform-free) )\n  (:goal", "(:init (platform-free) )", "a second (:init",
+        "(:goal", "(:init (platform-free) )\n  (:goal", "(:init (platform-free) )", "a second (:init ...); the first",
     ),
 }  # fmt: skip
 """A part of either file, what stands there instead, a part on the reported line, and words of the message."""

@@ -46,7 +46,7 @@ def test_a_name_that_is_nearly_right_is_answered_with_those_that_are() -> None:
 
 
 def test_a_folder_of_the_package_stands_for_all_of_its_tasks(elsewhere: Path) -> None:
-    assert find_instances(["blocks"]) == find_instances([DOMAINS / "blocks"])
+    assert find_instances("blocks") == find_instances(["blocks"]) == find_instances([DOMAINS / "blocks"])
     assert find_instances(["kitting/costs/"]) == find_instances([KITTING / "costs"])
     assert len(find_instances(["kitting", "kitting/tiny"])) == len(find_instances([KITTING]))
     for wrong, near in (("blcks", "blocks"), ("kitting/cost", "kitting/costs")):
