@@ -125,6 +125,9 @@ def test_summary_by_hand(pool: Pool) -> None:
     assert summary.actions == (9.0, pytest.approx(2 / np.sqrt(3)))
     assert summary.interventions == (2.0, pytest.approx(2 / np.sqrt(3)))
     assert summary.moves == (1.0, 0.0)
+    said = "none: actions per person 9.00 ± 1.15, cost per person 9.33 ± 0.67, suggestions 2.00 ± 1.15, "
+    assert str(summary).startswith(said)
+    assert "cost per person" not in str(three.summary())  # where all actions cost 1
     assert typical(made, replace(made, actions=np.full((3, 2), 20))).actions == (6, 12)
 
 
