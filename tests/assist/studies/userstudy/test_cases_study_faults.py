@@ -8,15 +8,14 @@ import signal
 import sqlite3
 from collections.abc import Callable
 from datetime import UTC, date, datetime, timedelta, timezone
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import pytest
 from conftest import thinned
-from store_faults import Failing
+from store_faults import Failing, in_child
 from test_cases_withdrawal import answered, of_others
-from test_event_store import content, forked
+from test_event_store import content
 from test_userstudy_pages import Web
 from userstudies import PLAN, Part, written
 
@@ -268,8 +267,8 @@ STATEMENTS = (
 )  # fmt: skip
 
 
-def removes(statement: str, how: str) -> Callable[[Table, Path, Connection], None]:
-    def work(table: Table, folder: Path, says: Connection) -> None:
+def removes(statement: str, how: str, table: Table, folder: Path) -> Callable[[], None]:
+    def work() -> None:
         session = opened(table, folder)
         removing = [False]
 
@@ -284,7 +283,6 @@ def removes(statement: str, how: str) -> Callable[[Table, Path, Connection], Non
             Part(session, "eve").report("withdrew", id="asked")
         else:
             session.erase("eve", "wrote a letter")
-        says.send("done")
 
     return work
 
@@ -298,8 +296,8 @@ def test_a_kill_at_any_statement_of_a_removal_is_made_good(begun: Path, tiny: Ta
     session = opened(tiny, begun)
     before = of_others(session, "eve")[1:]
     session.close()
-    with forked(removes(statement, how), tiny, begun) as hears, pytest.raises(EOFError):
-        hears.recv()
+    _, killed = in_child(removes(statement, how, tiny, begun))
+    assert killed
     session = opened(tiny, begun)
     committed = STATEMENTS.index(statement) > STATEMENTS.index("COMMIT")
     if how == "erase" and not committed:
