@@ -173,7 +173,8 @@ def sendable(content: dict[str, Any]) -> dict[str, Any]:
     try:
         json.dumps(content, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:
-        raise unusable(f"{error.object[error.start - 20 : error.end]!r}; expected Unicode text") from None
+        before = max(error.start - 20, 0)
+        raise unusable(f"{error.object[before : error.end]!r}; expected Unicode text") from None
     return content
 
 
