@@ -205,7 +205,9 @@ class Scope:
                  place: Place, outer: Scope | None = None) -> None:  # fmt: skip
         self.encoder = encoder
         self.statics = encoder.statics
+        self.arguments = dict(kinds)
         self.kinds = dict(kinds)
+        """Types of the arguments, and of variables that conditions quantify."""
         self.conditions = conditions
         """Conditions under which rows of relations are needed."""
         self.name = name
@@ -281,8 +283,7 @@ class Scope:
 
     def instance(self, bound: Mapping[str, str]) -> tuple[str, ...] | None:
         """Return the objects of an instance of the action with some objects, which its static conditions admit."""
-        kinds = {name: kind for name, kind in self.kinds.items() if not name.startswith("?value")}
-        rows = self.statics.bindings(kinds, self.conditions)
+        rows = self.statics.bindings(self.arguments, self.conditions)
         return next((tuple(row.values()) for row in rows if bound.items() <= row.items()), None)
 
     def _fails(self, expression: Expression, bound: Mapping[str, str]) -> bool:

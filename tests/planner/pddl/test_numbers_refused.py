@@ -90,6 +90,7 @@ WRONG = [
     ("p.pddl:6: the metric is not linear", "(+ (total-time) (spent))", "(* (total-time) (spent))"),
     ("domain.pddl:8: action 'take' lets '(spent)' fall", "(increase (spent) 2)", "(increase (spent) -2)"),
     ("domain.pddl:9: (move x y) has a duration of -2", "(= (far x y) 2)", "(= (far x y) -2)"),
+    ("domain.pddl:9: (move x y) has a duration of -2", "(= (far x y) 2)", "(= (far x y) -2)", "?a", "?value"),
     (
         "domain.pddl:8: 'decrease' expects exactly two arguments; expected (decrease (FUNCTION ARGUMENT ...) NUMBER)",
         "(decrease (stock ?b) 1)", "(decrease (stock ?b) 1 2)",
