@@ -15,7 +15,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from math import prod
+from fractions import Fraction
+from math import ceil, prod
 
 from .declarations import Typed, refuse
 from .durative import Change, Literal, Schema
@@ -121,7 +122,7 @@ def ways(encoder: Encoder, condition: Expression, values: Collection[str] = ()) 
     """Return in about how many ways the translator may satisfy a condition by alternatives and by its `values`.
 
     It grounds an action for each of them, also where values of one number exclude each other, and for each instance of
-    the other parameters. A relation of two values that are both read is left out of account.
+    the other parameters. A relation of values that nothing else connects leaves the share of them that its rows are.
     """
     head, parts = condition.head, condition.parts[1:]
     if head == "or":
@@ -137,11 +138,23 @@ def ways(encoder: Encoder, condition: Expression, values: Collection[str] = ()) 
             limits[part.parts[-1].word] = min(numbers, limits.get(part.parts[-1].word, numbers))
         elif part.head in ("or", "exists"):
             several *= ways(encoder, part)
+    relations = []
     for part in conjuncts(condition):
-        for place, each in enumerate(part.parts[1:] if part.head in encoder.rows else ()):
-            if each.word in limits:
-                limits[each.word] = min(limits[each.word], len({row[place] for row in encoder.rows[part.head]}))
-    return several * prod(limits.values())
+        if part.head in encoder.rows:
+            places = {each.word: place for place, each in enumerate(part.parts[1:]) if each.word in limits}
+            rows = encoder.rows[part.head]
+            for name, place in places.items():
+                limits[name] = min(limits[name], len({row[place] for row in rows}))
+            relations.append((list(places), len({tuple(row[place] for place in places.values()) for row in rows})))
+    connected = {name: {name} for name in limits}
+    share = Fraction(1)
+    for names, rows_of_values in relations:
+        groups = [connected[name] for name in names]
+        together = set().union(*groups)
+        if len(together) == sum(map(len, groups)):
+            share *= min(Fraction(1), Fraction(rows_of_values, prod(limits[name] for name in names)))
+            connected.update(dict.fromkeys(together, together))
+    return several * ceil(share * prod(limits.values()))
 
 
 def _growth(scope: Scope, change: Change, old: str) -> list[Expression]:

@@ -221,3 +221,24 @@ def test_conditions_on_many_numbers_are_refused_before_they_are_grounded(each: s
     problem = f"(:objects {' '.join(names)} - bin) (:init {begin}) (:goal (done))"
     with pytest.raises(PDDLError, match="action 'finish' compares or changes numbers in too many combinations"):
         load(written(tmp_path, domain.format(each), problem))
+
+
+def test_values_that_relations_connect_are_counted_as_a_join(tmp_path: Path) -> None:
+    """A robot one cell from a ball: two relations of two coordinates each leave few of the pairs of cells."""
+    moves = "".join(
+        f"(:action {name} :parameters (?o - thing) :precondition (<= ({axis} ?o) 13) :effect (increase ({axis} ?o) 1))"
+        for name, axis in (("right", "x"), ("up", "y"))
+    )
+    grab = (
+        "(:action grab :parameters (?r - robot ?b - ball) :precondition (and (= (x ?b) (+ (x ?r) 1)) "
+        "(= (y ?b) (+ (y ?r) 1))) :effect (got ?b))"
+    )
+    domain = (
+        "(:types robot ball - thing) (:predicates (got ?b - ball)) (:functions (x ?o - thing) (y ?o - thing)) "
+        f"{moves} {grab}"
+    )
+    problem = "(:objects r - robot b - ball) (:init (= (x r) 0) (= (y r) 0) (= (x b) 7) (= (y b) 7)) (:goal (got b))"
+    compiler = Compiler(read(instance(written(tmp_path, domain, problem))))
+    assert compiler.compilation(most_grounded=1_000)
+    with pytest.raises(PDDLError, match="action 'grab' compares or changes numbers in too many combinations"):
+        compiler.compilation(most_grounded=200)
