@@ -59,7 +59,8 @@ class Command(RichCommand):
         except click.BadParameter as error:
             raise named(error) from None
         except click.UsageError as error:
-            if "instance" not in ctx.params or not error.message.startswith("Got unexpected extra argument"):
+            last = [each.name for each in self.params if isinstance(each, click.Argument)][-1:]
+            if last != ["instance"] or not error.message.startswith("Got unexpected extra argument"):
                 raise
             why = "one INSTANCE at a time; several in one `kitassist study`, or each by itself"
             raise click.UsageError(f"{error.message}: expected {why}", ctx) from None

@@ -94,8 +94,9 @@ class ReadingOptions(NamedTuple):
             with usage_errors(InputFileError):
                 called = {names.get(name, name) for name in log.called}
                 drop = [one for one in self.drop if not called or {*words_of(one)[:1]} <= called]
-                for one in {*self.drop} - {*drop}:  # the same options may be given with several logs
-                    click.echo(f"{file}: --drop {one}: no action is called so", err=True)
+                for one in self.drop:  # the same options may be given with several logs
+                    if one not in drop:
+                        click.echo(f"{file}: --drop {one}: no action is called so", err=True)
                 found = replayed(tasks, log, tell=tell, drop=drop, rename=names, strict=self.strict, **more)
         except InputFileError as error:
             fail(str(error), ExitCode.FAILED)

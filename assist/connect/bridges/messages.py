@@ -134,8 +134,12 @@ def filled(template: str, fields: Fields, names: Mapping[str, str]) -> str:
 
     def value(found: re.Match[str]) -> str:
         given = text_of(fields.get(found[1]))
+        if given is None and fields.get(found[1]) is not None:
+            raise unusable(f"field {found[1]!r} is {json.dumps(fields[found[1]])[:40]}; expected a text or a number")
         if given is None:
-            names_of = ", ".join(name[:40] for name in list(fields)[:MANY]) or "none"
+            names_of = (
+                ", ".join(name[:40] for name in [one for one in fields if fields[one] is not None][:MANY]) or "none"
+            )
             raise unusable(f"there is no field {found[1]!r}; the message has {names_of}")
         named = names.get(given, given)
         if not alone and not WORD.fullmatch(named):
@@ -169,12 +173,14 @@ def content_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> dict[s
 
 
 def sendable(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a message; a `Refusal` if it has half a character, which JSON can name."""
+    """Return the content of a message; a `Refusal` if it is nested too deeply, or has half a character."""
     try:
         json.dumps(content, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:
         before = max(error.start - 20, 0)
         raise unusable(f"{error.object[before : error.end]!r}; expected Unicode text") from None
+    except RecursionError:  # where reading had a little more of the stack
+        raise unusable("lists or tables within so many others; expected fewer") from None
     return content
 
 

@@ -81,7 +81,7 @@ class Topics(Transport):
             if not isinstance(person, str | None):
                 given = "no person" if person is MISSING else f"person {json.dumps(person)[:40]}"
                 raise unusable(f'{given}; expected {{"person": name}}, with null at the base')
-            identifier = filled("{id}", content, {}) if "id" in content else None
+            identifier = None if content.get("id") is None else filled("{id}", content, {})
         except Refusal as error:
             LOG.warning("MQTT: arrival of a robot: %s", error)
             return Message(done=done)

@@ -163,7 +163,7 @@ def _headline(study: Study, summary: Record) -> str:
 
 
 def notes(summary: Record) -> Iterator[str]:
-    """Yield what a reader of the headline should know: episodes that were cut off, and what little assistance means."""
+    """Yield what a reader of the headline should know: of episodes cut off, of little assistance, and of rare pools."""
     yield from _limit_notes(summary)
     yield from _cost_notes(summary)
     yield from _pool_notes(summary)
@@ -199,10 +199,11 @@ def _pool_notes(summary: Record) -> Iterator[str]:
         rows = [row for row in summary["uneven"] if row["condition"] == condition]
         least = min(rows, key=lambda row: float(row["alike"]))
         weigh = f"{least['pools']} pools weigh as {least['alike']:.1f} alike ones"
+        which = f"a mean of {condition}, that" if len(rows) == 1 else f"{len(rows)} means of {condition}, such as that"
         yield (
-            f"few pools make up most of {len(rows)} means of {condition}, such as that of {least['policy']}'s "
-            f"{least['measure']} ({_where(least)}), where {weigh}. Rare pools decide there, such as those with people "
-            "in a trap. These results are preliminary, as intervals are too narrow where such people are rarer still"
+            f"few pools make up most of {which} of {least['policy']}'s {least['measure']} ({_where(least)}), where "
+            f"{weigh}. Rare pools decide there, such as those with people in a trap. These results are preliminary: "
+            "intervals are too narrow if the pools have fewer such people than there are"
         )
 
 

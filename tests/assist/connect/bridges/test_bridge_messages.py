@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -266,6 +267,7 @@ def test_every_probability_of_a_message_is_read(missed: float) -> None:
         ("ann", "expected a JSON object"),
         ('{"person": "ann", "id": "r"}', Located(1, "ann", "r")),
         ('{"person": null}', Located(1, None)),
+        ('{"person": "ann", "id": null}', Located(1, "ann")),
     ],
 )
 def test_an_arrival_says_where_the_robot_is(payload: str, words: Any, caplog: pytest.LogCaptureFixture) -> None:
@@ -287,6 +289,10 @@ def test_fields_of_payloads() -> None:
     ):  # fmt: skip
         with pytest.raises(Refusal, match=said):
             content_of(payload)
+    most = sys.getrecursionlimit()
+    for depth in range(most - 200, most + 5):  # what can be read can be sent, or is refused
+        with suppress(Refusal):
+            json.dumps(content_of(b'{"a":' + b"[" * depth + b"]" * depth + b"}"))
     source = Observed(topic="line/{person}", number="{n}", seq="{seq}")
     report = source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"}, {})
     assert (report.number, report.values, report.fault) == (2, {"action": "(go)", "seq": 0}, None)
@@ -303,6 +309,8 @@ def test_fields_of_payloads() -> None:
         Refusal, match="there is no field 'n'; the message has person, action, id, seq"
     ):  # which the answer to this id says
         source.report({name: value for name, value in right.items() if name != "n"}, {}).event()
+    with pytest.raises(Refusal, match=r"field 'person' is \[\"ann\"\]; expected a text or a number"):
+        source.report({**right, "person": ["ann"]}, {})
 
 
 @given(st.data())

@@ -304,7 +304,11 @@ def test_results_that_rest_on_few_of_many_pools_are_said_to(small_study: tuple[S
     assert (row["policy"], row["measure"], row["pools"]) == ("none", "actions", 12)
     assert row["alike"] == pytest.approx(41**2 / (11 + 30**2))
     (note,) = notes({**small_study[2], "uneven": [row], "seldom_assisted": []})
-    assert "such as that of none's actions (first, everybody, tiny), where 12 pools weigh as 1.8 alike ones" in note
+    least = "none's actions (first, everybody, tiny), where 12 pools weigh as 1.8 alike ones"
+    assert f"most of a mean of first, that of {least}" in note
+    other = {**row, "measure": "cost", "alike": 1.9}
+    (note,) = notes({**small_study[2], "uneven": [row, other], "seldom_assisted": []})
+    assert f"most of 2 means of first, such as that of {least}" in note
 
 
 def test_the_report_names_the_people_and_the_episode_that_is_drawn(several: Report) -> None:
