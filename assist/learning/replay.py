@@ -238,7 +238,7 @@ def _renamed(words: Words, matcher: Matcher) -> str:
     """Return how an action is renamed whose name the task does not have, nor one of similar spelling."""
     if not words or words[:1] in matcher.beginnings or matcher.meant(words[:1]) or words == (STAND_STILL[1:-1],):
         return ""
-    return f"; if it has another name there, --rename {words[0]}=NAME (in Python rename={{'{words[0]}': NAME}})"
+    return f"; if the task calls it otherwise, --rename {words[0]}=NAME (in Python rename={{'{words[0]}': NAME}})"
 
 
 def _at(entry: Entry, message: str, *, spoils: bool = True) -> Fault:

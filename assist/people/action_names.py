@@ -114,11 +114,11 @@ class Matcher:
             return "an empty action"
         if words in self.beginnings or words == (STAND_STILL[1:-1],):
             return None
-        none = "none that can never be done or never changes anything"
+        without = "; actions that can never be done, or never change anything, are left out"
         if words[:1] not in self.beginnings:
-            why = "" if nearest(words[0], {known[0] for known in self.words}) else f"; it has {none}"
+            why = "" if nearest(words[0], {known[0] for known in self.words}) else without
             return f"{_shown(words)}: no action of the task is called '{words[0]}'{why}"
-        why = "" if set(words[1:]) - self.objects else f", which has {none}"
+        why = "" if set(words[1:]) - self.objects else without
         return f"{_shown(words)} is no action of the task{why}"
 
     def meant(self, words: Words) -> Words | None:

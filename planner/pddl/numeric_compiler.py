@@ -301,7 +301,7 @@ class Compiler:
             )
             for each in actions
         ]
-        if len(encoder.facts) + sum(of_each) > most_grounded:
+        if of_each and len(encoder.facts) + sum(of_each) > most_grounded:
             most = actions[of_each.index(max(of_each))].schema
             encoder.too_many(most.place, f"action '{most.name}'")
 

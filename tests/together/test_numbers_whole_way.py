@@ -155,7 +155,7 @@ def test_commands_and_an_environment_agree_about_costs_and_actions(
     log.write_text(json.dumps(rows[0] | {"action": "(nothing)", "suggestion": None}) + "\n")
     wrong = invoke("fit", problem, log)
     assert (wrong.exit_code, is_of_the_file(wrong.stderr, table)) == (1, True)
-    assert "if it has another name there, --rename nothing=NAME (in Python rename={'nothing': NAME})" in wrong.stderr
+    assert "if the task calls it otherwise, --rename nothing=NAME (in Python rename={'nothing': NAME})" in wrong.stderr
 
     (tmp_path / "best.plan").write_text("\n".join(table.optimal_plan() or []))
     drawn = invoke("draw", problem, "--plan", tmp_path / "best.plan", "--out", tmp_path / "plan.html")

@@ -168,4 +168,4 @@ def test_an_action_without_an_effect_on_states_is_left_out_and_named(tmp_path: P
     assert task.actions == ("(look)", "(press)")
     assert str(task.note).endswith("actions without an effect on states are left out: idle")
     refused = Matcher(task.actions).unknown(("idle",))
-    assert str(refused).endswith("it has none that can never be done or never changes anything")
+    assert str(refused).endswith("; actions that can never be done, or never change anything, are left out")
