@@ -469,6 +469,21 @@ def test_what_depends_on_an_unknown_cost_is_left_out(tiny: Table) -> None:
     assert (len(left), left.people, counts) == (0, (), {"ann": 4, "bob": 6})
 
 
+def test_what_is_left_where_costs_are_unknown_is_numbered_anew(tiny: Table) -> None:
+    """A suggestion at an episode's first step excludes all of it; whether a cost is known counts for choices only."""
+    rows = [*lines(FETCH, RIGHT, BACK, told={0: FETCH}), *lines(*PLAN, person="bob"), *lines(FETCH, RIGHT, person="cy")]
+    recording, _ = replay(log_of(rows), tiny)
+    h = tiny.h.copy()
+    h[recording.targets[0, recording.applicable[0]]] = np.nan
+    left, counts = recording.evaluated(h)
+    assert (left.people, counts["ann"]) == (("bob", "cy"), 3)
+    assert [left.people[k] for k in left.person] == ["bob"] * (len(PLAN) - counts["bob"]) + ["cy"] * (2 - counts["cy"])
+    h = tiny.h.copy()
+    h[tiny.initial] = np.nan  # a state in which people choose, and to which the way back leads
+    left, _ = recording.evaluated(h)
+    assert left.step[left.person == left.people.index("cy")].tolist() == [0]
+
+
 @pytest.mark.cases
 def test_theta_begins_anew_in_each_episode_of_a_simulations_log_unless_asked(tmp_path: Path) -> None:
     file, plain = tmp_path / "log.jsonl", tmp_path / "plain.jsonl"
