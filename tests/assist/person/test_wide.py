@@ -12,6 +12,7 @@ import pytest
 from conftest import kit, thinned
 from test_unknown_goals import three_goals
 
+from assist.certify import BoundOptions, upper_bound
 from assist.certify.information_relaxation.belief_nodes import BeliefNodes
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
 from assist.certify.prices import groups_of
@@ -291,6 +292,34 @@ def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> Non
     (ground,) = {policy.ground for policy in part.policies}  # type: ignore[attr-defined]
     assert all(len(policy.regions[0].frontier) > 0 for policy in part.policies)  # type: ignore[attr-defined]
     assert len(ground.visited) < len(fixed)
+
+
+TEAMS: dict[str, tuple[str, dict[str, Any], Population | None]] = {
+    "goals": ("goals of tiny", {"c_suggest": 0.1, "c_move": 0.1, "knowledge": "exact", "gamma": 0.9}, None),
+    "goals, misconceptions": ("goals of tiny", {"c_suggest": 0.1, "c_move": 0.1, "gamma": 0.9}, None),
+    "terms": ("tiny", {"c_suggest": 0.2, "gamma": 0.95}, HABITS),
+    "misconceptions": ("tiny", {"c_suggest": 0.2}, None),
+    "executes": ("sealed", {"c_suggest": 0.3, "execute": True, "c_execute": 0.5, "c_move": 0.1, "gamma": 0.9}, None),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TEAMS)
+def test_a_bound_on_a_part_is_one_of_the_whole_task_which_it_becomes(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """Also where theta is seen on a part only, and people comply beyond it."""
+    task, setting, population = TEAMS[name]
+    bound = partial(upper_bound, team=[0, 1], window=3, gap=1e-2, seed=1, options=BoundOptions(price_rounds=8))
+    whole, every = pools(task_of(task), setting=Setting(**setting), population=population)
+    exact, same = bound(whole), bound(every)
+    assert same.upper == pytest.approx(exact.upper, rel=1e-2)
+    for seen in (8, 20_000):
+        monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, seen=seen))
+        above = bound(pools(task_of(task), 2, setting=Setting(**setting), population=population)[1])
+        assert above.upper >= exact.upper - exact.slack
+    value = above.certify("priority", episodes=300, seed=2)
+    assert value.value - 4 * value.value_stderr <= above.upper
 
 
 def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
