@@ -106,11 +106,14 @@ def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:
 
 
 @pytest.mark.parametrize("window", thinned([3, 0]))
-def test_samples_are_not_below_the_joint_optimum(window: int) -> None:
-    """Two alike people whose beta and theta are known, so that all joint states can be enumerated."""
-    setting = Setting(knowledge="exact", gamma=0.9, c_suggest=0.05, c_move=0.05, trust="constant", lapse=0.0)
-    pool = known_people(setting)
-    best = joint_optimum(pool, setting.fleet.robots)
+@pytest.mark.parametrize("robots", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_samples_are_not_below_the_joint_optimum(robots: int, window: int) -> None:
+    """Alike people, one more than robots, whose beta and theta are known, so that joint states can be enumerated."""
+    setting = Setting(
+        knowledge="exact", gamma=0.9, c_suggest=0.05, c_move=0.05, trust="constant", lapse=0.0, robots=robots
+    )
+    pool = known_people(setting, robots + 1)
+    best = joint_optimum(pool, setting.fleet.robots, robots + 1)
     found = upper_bound(pool, window=window, gap=1e-6, paths=40, options=BoundOptions(10, 200))
     assert found.sampled.mean + 3 * found.sampled.stderr >= best
     assert found.proven >= best
@@ -528,8 +531,8 @@ def known_people(setting: Setting, size: int = 2) -> Pool:
     return replace(pool, policies=(qmdp(replace(pomdp, prior=prior)),))
 
 
-def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
-    """Return the optimal value of robots that differ, by value iteration over all joint states of two known people."""
+def joint_optimum(pool: Pool, robots: tuple[Any, ...], people: int = 2) -> float:
+    """Return the optimal value of robots that differ, by value iteration over all joint states of known people."""
     pomdp, choices = pool.policies[0].pomdp, pool.choices(0)
     (known,) = np.flatnonzero(pomdp.prior)
 
@@ -551,7 +554,7 @@ def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
         each = []
         for robot, here in zip(robots, at, strict=True):
             options = [(0.0, here, NOBODY, 0)]
-            for k in (k for k in range(2) if not pomdp.ends[x[k]]):
+            for k in (k for k in range(people) if not pomdp.ends[x[k]]):
                 moving = robot.c_move * (here != k)
                 for r in range(pomdp.robot_actions[x[k]]):
                     executes = r > 0 and pomdp.suggested[x[k], r] == NOTHING
@@ -562,7 +565,7 @@ def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
         for joint in itertools.product(*each):
             sent = [to for _, _, to, _ in joint if to != NOBODY]
             if len(set(sent)) == len(sent):
-                does = [sum(r for _, _, to, r in joint if to == k) for k in range(2)]
+                does = [sum(r for _, _, to, r in joint if to == k) for k in range(people)]
                 there = tuple(BASE if to == NOBODY and place in sent else place for _, place, to, _ in joint)
                 waiting = sum(
                     robot.costs[0] for robot, place, (*_, r) in zip(robots, there, joint, strict=True)
@@ -570,15 +573,15 @@ def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
                 )  # fmt: skip
                 yield sum(cost for cost, *_ in joint) + waiting, there, does
 
-    everywhere = itertools.product(range(len(choices)), repeat=2)
-    states = [(x, at) for x in everywhere for at in itertools.product((BASE, 0, 1), repeat=len(robots))]
+    everywhere = itertools.product(range(len(choices)), repeat=people)
+    states = [(x, at) for x in everywhere for at in itertools.product((BASE, *range(people)), repeat=len(robots))]
     number = {one: n for n, one in enumerate(states)}
     rows, columns, weights, rewards, first = [], [], [], [], []
     for x, at in states:
         first.append(len(rewards))
         for cost, there, does in joint_actions(x, at):
             reward = -cost
-            for outcome in itertools.product(*(after(x[k], does[k]) for k in range(2))):
+            for outcome in itertools.product(*(after(x[k], does[k]) for k in range(people))):
                 chance = float(np.prod([p for p, _, _ in outcome]))
                 reward -= chance * sum(spent for _, spent, _ in outcome)
                 rows.append(len(rewards))
@@ -589,7 +592,7 @@ def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
     gamma = pomdp.gamma
     for _ in range(int(np.ceil(np.log(1e-7) / np.log(gamma)))):
         value = np.maximum.reduceat(np.array(rewards) + gamma * (matrix @ value), first)
-    return float(value[number[(choices.initial,) * 2, (BASE,) * len(robots)]])
+    return float(value[number[(choices.initial,) * people, (BASE,) * len(robots)]])
 
 
 @pytest.mark.slow
