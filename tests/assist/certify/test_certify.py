@@ -450,6 +450,16 @@ def test_a_bound_on_a_truncated_task_holds_for_the_whole_and_has_the_rounds_that
     assert [what for what in told if what[0] == "optimising prices"] == [("optimising prices", n, 2) for n in (0, 1)]
 
 
+def test_prices_on_truncated_tasks_are_optimised_where_there_is_memory_for_them(strangers: Pool) -> None:
+    given = {"setting": strangers.setting, "population": Population(beta=(0.1, 0.5)), "seed": 1}
+    large = Pool.sample(kit("tiny"), 3, states=1, region=6, **given)  # type: ignore[arg-type]
+    priced, without = (
+        upper_bound(large, gap=0.05, options=BoundOptions(2, 50, price_memory_mb=least)) for least in (1.0, 1e9)
+    )
+    assert len(priced.price) > len(without.price) == 0
+    assert priced.upper < without.upper
+
+
 def test_policies_are_certified_by_their_names(pool: Pool) -> None:
     def quiet(team: TeamState) -> TeamAction:
         return NoAssistance()(team)
