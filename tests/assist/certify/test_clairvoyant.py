@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -11,7 +12,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import kit
+from conftest import invoke, kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq, linprog
@@ -338,6 +339,19 @@ def test_prices_are_paid_in_steps_whose_conflicts_do_not_count() -> None:
     gamma = lattices[0].relaxed.m.gamma
     paid = sum(gamma**step * price for step, price in enumerate((0.3, 0.35, 0.3)))
     assert robot.value == pytest.approx(paid + sum(lattice.value for lattice in lattices), abs=1e-12)
+
+
+@pytest.mark.slow
+def test_a_bound_from_samples_is_named_beside_the_proven_one() -> None:
+    """The command says which bound holds with certainty, and with which confidence the other does."""
+    setting = ("--c-suggest", 0.1, "--c-move", 0.2, "--set", "knowledge=exact", "--set", "gamma=0.9")
+    for paths, confidence in ((4, 1.0), (30, 0.95)):
+        options = ("--policy", "none", "--value-episodes", 50, "--gap", 0.05, "--samples", paths, "--json")
+        found = json.loads(invoke("bound", "kitting/tiny", "--humans", 2, *setting, *options).stdout)
+        sampled = SampledBound(**found["sampled"]).upper
+        assert (found["sampled"]["paths"], found["confidence"]) == (paths, confidence)
+        assert sampled < found["upper_proven"]
+        assert found["upper"] == pytest.approx(sampled if paths == 30 else found["upper_proven"], abs=1e-9)
 
 
 @pytest.mark.parametrize(("skewness", "paths"), [(0.0, 2), (-2.0, 11), (0.3, 30), (1.0, 40), (2.0, 100), (6.0, 30)])
