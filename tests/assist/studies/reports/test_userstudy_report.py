@@ -95,6 +95,11 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
     counted = [float(one["actions"]) for one in tasks if one["condition"] == "none"]
     cell = summary["measures"][0]["cells"][0]
     assert (cell["n"], cell["mean"]) == (4, pytest.approx(statistics.mean(counted)))
+    of_none = {one["participant"] for one in done if one["condition"] == "none"}
+    given = {(a["participant"], a["item"]): int(a["answer"]) for a in answers if a["questionnaire"] == "trust"}
+    trust = {one["measure"]: one for one in summary["measures"]}["trust"]  # of which one item is reversed
+    means = [(given[who, "rely"] + 8 - given[who, "wary"]) / 2 for who in of_none]
+    assert trust["cells"][0]["mean"] == pytest.approx(statistics.mean(means))
     assert [row["reached"] for row in summary["flow"]][-1] == 8
     assert sum(row["left"] for row in summary["flow"]) == 1
 
