@@ -208,7 +208,7 @@ def _in_processes(
                     worker.stop_if_late()
                     if worker.connection not in said:
                         continue
-                    (what, value), number = worker.received(), worker.number
+                    (what, value), number, heard = worker.received(), worker.number, time.monotonic()
                     if what == BEGUN:
                         worker.give(number)
                     elif what == REPORT and hear is not None:
@@ -220,6 +220,8 @@ def _in_processes(
                         else:
                             worker.give(waiting.popleft())
                         yield items[number], value
+                    for other in workers:  # which may have waited for the caller to hear their reports
+                        other.deadline += time.monotonic() - heard
         finally:  # what is still at work was left by an exception
             for worker in workers:
                 worker.kill()

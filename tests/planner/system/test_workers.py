@@ -6,11 +6,14 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from planner.system.processes import python
+from planner.system import processes
+from planner.system.processes import outcomes, python
 
 ENDS = """
 import os, signal, sys, threading, time
@@ -101,6 +104,22 @@ if __name__ == "__main__":
         assert isinstance(outcome, fault), outcome
         assert heard[0] == (item, "x" * 100_000)
 """
+
+
+def reporting(item, report):
+    for number in range(2_000):  # more than a pipe holds
+        report(number)
+    return item
+
+
+def test_time_in_which_the_caller_does_something_else_is_not_that_of_an_item(monkeypatch: pytest.MonkeyPatch) -> None:
+    away = [0.0]
+    monkeypatch.setattr(processes, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + away[0]))
+    found = []
+    for _, outcome in outcomes(reporting, [1, 2, 3, 4], jobs=2, timeout=300.0, hear=lambda *_: None):
+        found.append(outcome)
+        away[0] += 400.0
+    assert sorted(map(str, found)) == ["1", "2", "3", "4"]
 
 
 def test_workers_are_heard_to_their_end_and_ctrl_c_does_not_reach_them_from_their_beginning(tmp_path: Path) -> None:
