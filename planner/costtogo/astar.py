@@ -1,7 +1,7 @@
 """The cost-to-go of one state by Fast Downward's A*, within the range of its 32-bit cost sums, and checks of tables.
 
 A table is compared with A* (`verify`), with its own successors, and along a plan.
-`Early` runs it in the background while all states are being enumerated. A task whose numbers may leave the values that
+`Early` runs A* in the background while all states are being enumerated. A task whose numbers may leave the values that
 they were given is searched as one in which leaving is a second way to the goal (`with_leaving`).
 """
 

@@ -14,8 +14,8 @@ The values are then known to be all, and are compiled as such. Where there are t
 is closed, the task keeps its beyond facts. It is no longer swept, and its states are solved on demand (`astar`). A
 trial is then large enough if a plan from the initial state is optimal within it. If no trial is, the number is refused.
 
-Trials end after numbers of states, operators and rows of relations, never because time is short: a file has the same
-values everywhere. Where time is short, there is an error instead.
+Trials end after numbers of states, operators, rows of relations and ways to satisfy conditions, never because time is
+short: a file has the same values everywhere. Where time is short, there is an error instead.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ MOST_SEARCHED = 300_000
 """States that the search for a cheapest plan meets within one trial."""
 MOST_OPERATORS = 15_000
 """No trial is made that is expected to have more operators, since it would take minutes to ground."""
-MOST_GROUNDED = 100_000
+MOST_ROWS_OF_TRIAL = 100_000
 """No trial is made with more rows of relations and ways to satisfy conditions; so many are grounded in five seconds."""
 TRIAL_SECONDS = 120.0
 """Longest processor time to ground one trial. To reach it is an error."""
@@ -140,7 +140,7 @@ class _Trials:
         while True:
             trial = Trial(min(values, self._most_values))
             try:
-                compilation = self._compiler.compilation(trial, MOST_GROUNDED)
+                compilation = self._compiler.compilation(trial, MOST_ROWS_OF_TRIAL)
             except PDDLError:  # too many combinations of values
                 return
             try:

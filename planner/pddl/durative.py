@@ -256,15 +256,10 @@ def growth(term: Expression, amount: Expression) -> Expression | None:
     if amount.head == "+":
         for at, part in enumerate(parts):
             if (more := growth(term, part)) is not None:
-                return _sum([more, *parts[:at], *parts[at + 1 :]])
+                return total([more, *parts[:at], *parts[at + 1 :]])
     if amount.head == "-" and len(parts) > 1 and (more := growth(term, parts[0])) is not None:
-        return _sum([more, *(listed(word("-"), part) for part in parts[1:])])
+        return total([more, *(listed(word("-"), part) for part in parts[1:])])
     return None
-
-
-def _sum(parts: Iterable[Expression]) -> Expression:
-    found = [part for part in parts if part.word != "0"]
-    return found[0] if len(found) == 1 else listed(word("+"), *found) if found else word("0")
 
 
 def renamed(change: Change, bound: Mapping[str, str]) -> Change:
@@ -298,8 +293,8 @@ class Schema:
 
 
 def total(parts: Iterable[Expression]) -> Expression:
-    """Return the sum of expressions."""
-    found = list(parts)
+    """Return the sum of expressions, without zeros among them."""
+    found = [part for part in parts if part.word != "0"]
     return found[0] if len(found) == 1 else listed(word("+"), *found) if found else ZERO
 
 

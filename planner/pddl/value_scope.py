@@ -157,7 +157,7 @@ class Encoder:
         return [*begin, *self.facts]
 
     def too_many(self, place: Place, what: str) -> None:
-        """Refuse a relation with more than `MOST_ROWS` rows."""
+        """Refuse what needs a relation of too many rows, or too many ways to satisfy conditions."""
         refuse(self.file, place, f"{what} compares or changes numbers in too many combinations of values; expected "
                "fewer comparisons, fewer terms in one expression, or fewer values")  # fmt: skip
 

@@ -188,7 +188,7 @@ def test_numbers_compared_with_each_other_are_not_tried_in_vain(
         return grounded(compilation, limits)
 
     monkeypatch.setattr(number_values, "ground", ground)
-    monkeypatch.setattr(number_values, "MOST_GROUNDED", 1_000)
+    monkeypatch.setattr(number_values, "MOST_ROWS_OF_TRIAL", 1_000)
     begin = f"(:init (= (n) 0) (= (m) 0)) (:goal {goal})"
     with pytest.raises(PDDLError, match=r"\(n\) grows without a limit \(more\)"):
         load(written(tmp_path, COUNTERS.format(condition), begin))
